@@ -97,6 +97,8 @@ def check_routes(scenario: Scenario, forms: Sequence[str]) -> None:
 
     if scenario.layout == "resample":
         raise InputError("routes are of one layout, and the scenario draws a new one each mission; set layout: fixed")
+    if scenario.energy is not None:
+        raise InputError("a route file is of one sortie, and the scenario swaps batteries in flight (energy)")
     for form in forms:
         check_format(scenario, form)
     check_coordinates(scenario)

@@ -165,7 +165,7 @@ def _rows(scenario: Scenario, shown: list[SizedFleet], target_s: float | None, b
     from uavaou.statistics import Interval
 
     heads = [("UAVs", ""), ("stations", "x,y (m)"), ("m/s", ""), ("in the air", "(min)"), ("mean AoU", "(min)")]
-    heads += [("interval", "95 %"), ("policy", "")]
+    heads += [("interval", "95 %"), ("policy", ""), ("knows", "")]
     measured = shown[0].information
     heads += [("mean AoI", "(min)"), ("largest", "AoI (min)")] if measured else []
     heads += [("time above", f"{(scenario.age_limit_s or 0) / 60:.3g} min")] if "late_share" in measured else []
@@ -175,7 +175,7 @@ def _rows(scenario: Scenario, shown: list[SizedFleet], target_s: float | None, b
         fleet, minutes = one.fleet.scenario, Interval(*(age / 60 for age in one.ages_s))
         budget = "any" if fleet.flight_time == "ignore" else figure(fleet.flight_time_budget_s / 60)
         cells = [str(fleet.uavs), one.fleet.places, f"{fleet.speed_m_s:g}", budget, *interval_figures(minutes)]
-        cells.append(one.policy)
+        cells += [one.policy, one.knows]
         cells += [figure(one.information[name] / 60) for name in ("mean_aoi_s", "peak_aoi_s") if measured]
         cells += [f"{one.information['late_share']:.1%}"] if "late_share" in measured else []
         cells += ([one.worst_loss] if by_loss else []) + ([one.verdict(target_s)] if target_s else [])

@@ -75,6 +75,7 @@ def test_saved_rules_and_plans_are_flown(shell: Shell, field: Path) -> None:
             "route field.yaml --set scenario.layout=resample",
             "draws a new one each mission; set layout: fixed",
         ),
+        ("route field.yaml --set 'scenario.energy={endurance_s: 1500}'", "a route file is of one sortie"),
         ("route field.yaml --policy greedy --knows local", "--knows local does not allow"),
         ("fly quickstart --route plan", "add to the scenario the place of x = y = 0"),
         ("route field.yaml --out file", "'file' is not a folder"),

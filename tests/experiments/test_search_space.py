@@ -205,3 +205,11 @@ def test_the_shipped_search_fits_four_hours_of_two_cores_and_chooses_on_layouts_
     assert last.seeds == 3
     for name, arm in shipped.arms.items():
         assert {"hidden", "masks"} <= arm.space.dimensions.keys(), name
+
+
+def test_an_arm_may_name_its_algorithm_and_state_its_space(tmp_path: Path) -> None:
+    gamma = {"kind": "categorical", "choices": [0.95, 0.97]}
+    mine = {"algorithm": "mappo", "set": SMALL, "space": {"gamma": gamma}}
+    arm = Search.load(written(tmp_path / "plan.yaml", arms={"mine": mine})).arms["mine"]
+    assert arm.space.to_dict().keys() == {"gamma"}
+    assert [list(values) for values in arm.first] == [["gamma"]]

@@ -105,21 +105,24 @@ class Arm:
 
 
 class _ArmFile(BaseModel, extra="forbid"):
-    """An arm; with ``space`` and ``first`` where it is resolved."""
+    """An arm: as stated, or resolved."""
 
     algorithm: StrictStr | dict[str, Any] | None = None  # a name, or all settings; None: that of the arm's name
     set: dict[StrictStr, Any] = {}  # settings that differ from the published ones and are not varied
-    space: dict[str, Any] | None = None
+    space: dict[str, Any] | None = None  # None: what is shipped for the algorithm
     first: list[dict[str, Any]] = []
 
     def arm(self, name: str, source: str) -> Arm:
         try:
-            if not isinstance(self.algorithm, dict):
-                return Arm.of(load_config(self.algorithm or name, self.set), self.set)
-            algorithm = config_from_dict(self.algorithm, Path("settings"))
-            space = SearchSpace.from_dict(self.space or {}, "space")
+            if isinstance(self.algorithm, dict):
+                algorithm = config_from_dict(self.algorithm, Path("settings"))
+            else:
+                algorithm = load_config(self.algorithm or name, self.set)
+                if self.space is None:
+                    return Arm.of(algorithm, self.set)
+            space = SearchSpace.from_dict(self.space or {}, "space").without(self.set)
             space.check(algorithm)
-            return Arm(algorithm, space, tuple(self.first))
+            return Arm(algorithm, space, tuple(self.first) or (space.values(algorithm),))
         except InputError as error:
             raise InputError(f"{source}: {error}") from None
 
