@@ -138,7 +138,7 @@ def test_the_time_is_that_of_trainings_of_the_same_kind(copied: tuple[Study, Pat
     assert unknown == []
     wider = another(out.parent, SET, SET.replace("[8]", "[8, 8]"))
     assert expected_cpu_s(wider, nothing, out)[1] == ["mappo set 8 8", "ippo mlp 8 8"]
-    assert expected_cpu_s(study, nothing, out / "nowhere") == (0.0, ["mappo mlp 8 8"])
+    assert expected_cpu_s(study, nothing, out / "nowhere") == (0.0, ["mappo set 8", "ippo mlp 8"])
 
 
 # -- evaluations ---------------------------------------------------------------------------------------
