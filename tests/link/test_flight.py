@@ -184,6 +184,6 @@ def test_an_aircraft_that_is_elsewhere_or_not_ready_stays_on_the_ground(make_pil
     aircraft.here, aircraft.armed, aircraft.ready = aircraft.here + 60.0, True, False
     with pytest.raises(InputError) as error:
         run()
-    for fault in ("85 m from the station (200, 100) m of UAV 1", "not ready", "armed already", "warns: Low battery"):
+    for fault in ("85 m from the station (200, 100) m of --uav 0", "not ready", "armed already", "warns: Low battery"):
         assert fault in str(error.value)
     assert aircraft.commands == []

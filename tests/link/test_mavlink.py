@@ -107,7 +107,7 @@ def test_without_arm_nothing_is_commanded(
     printed = capsys.readouterr().out
     assert "the devices are simulated" in printed
     assert "dry run: nothing is armed and nothing commanded" in printed
-    assert "m from the station (200, 100) m of UAV 1" in printed
+    assert "m from the station (200, 100) m of --uav 0" in printed
     assert len(read_table(Path("log/uav_0.csv"), {"slot": TEXT})) == 32
 
 

@@ -90,7 +90,7 @@ class LinkedFlight:
         away = float(np.linalg.norm(state.at_m - self.station))  # m
         checks = {
             "it does not tell its position": not away < np.inf or state.silent_s > self.silence_s,
-            f"it is {away:,.0f} m from the station ({x:g}, {y:g}) m of UAV {self.pilot.uav + 1}": (
+            f"it is {away:,.0f} m from the station ({x:g}, {y:g}) m of --uav {self.pilot.uav}": (
                 self.pilot.step / 2 < away < np.inf
             ),
             "it is armed already": state.armed,
