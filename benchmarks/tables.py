@@ -24,6 +24,7 @@ def study(name: str) -> StudyResults:
     return read_study(ROOT / "results" / "studies" / name)
 
 
+@cache
 def scores(name: str) -> dict[str, PolicyScores]:
     """Policy -> its scores on ``paper`` in a study."""
     return {one.policy: one for one in study_scores(study(name))["paper"]}

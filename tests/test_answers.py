@@ -32,6 +32,9 @@ def test_mappo_beats_another_where_the_whole_interval_is_below_one(
 
 def test_what_is_known_of_a_map_is_the_highest_bound_and_the_lowest_age(monkeypatch: pytest.MonkeyPatch) -> None:
     """A study with a later bound, a better plan and a policy for layout 3 changes that row alone."""
+    scenarios = {"layout 3": {"layout_seed": 3}}
+    worse = SimpleNamespace(scenarios=scenarios, bounds={}, planners=(), stack=lambda *_: np.array([[1e6]]))
+    monkeypatch.setattr(answers, "study", lambda name: worse)
     before = answers.reached()
     flown = {
         "rolling": np.array([[60.0]]),
@@ -39,7 +42,7 @@ def test_what_is_known_of_a_map_is_the_highest_bound_and_the_lowest_age(monkeypa
         "mappo": np.array([[50.0, 54.0], [58.0, 62.0]]),
     }
     study = SimpleNamespace(
-        scenarios={"layout 3": {"layout_seed": 3}},
+        scenarios=scenarios,
         bounds={"layout 3": 40.0},
         planners=("rolling", "random"),
         stack=lambda policy, scenario: flown[policy],

@@ -9,13 +9,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
 
-from uavaou.arrays import Floats
+from uavaou.arrays import Floats, Ints
 from uavaou.csv_tables import NUMBER, TEXT, WHOLE, read_table, write_table
 
 BOUND = "bound"  # the policy's name in the one row of a certified bound
@@ -139,6 +140,18 @@ class Flights:
             return frame
 
         return self.each(chosen)
+
+    @cached_property
+    def _places(self) -> list[dict[Any, Ints]]:
+        """Where the rows of each policy on each scenario stand in both tables: a study has many."""
+        return [dict(frame.groupby(["policy", "scenario"]).indices) for frame in (self.flights, self.curves)]
+
+    def part(self, policy: str, scenario: str) -> Flights:
+        """The rows of a policy on a scenario."""
+        flights, curves = self._places
+        none = np.empty(0, int)
+        key = policy, scenario
+        return Flights(self.flights.iloc[flights.get(key, none)], self.curves.iloc[curves.get(key, none)])
 
     def of_jobs(self, jobs: Iterable[str], kept: bool = True) -> Flights:
         """The rows of these jobs; without ``kept`` those of all others."""

@@ -147,7 +147,7 @@ class StudyResults:
 
     def trainings(self, policy: str, scenario: str) -> pd.DataFrame:
         """A row for each training, by seed: what is the same in all of its rows, and the means of its missions."""
-        rows = self.table.where(policy=policy, scenario=scenario).flights
+        rows = self.table.part(policy, scenario).flights
         rows = rows[rows["seed"].notna()]
         same = ["algorithm", "slots", "agent_steps", "wall_s", "cpu_s", "best_slots", "commit", "processor"]
         how = dict.fromkeys(same, "first") | dict.fromkeys(
@@ -157,7 +157,7 @@ class StudyResults:
 
     def curves(self, curve: str, policy: str, scenario: str) -> list[Curve]:
         """A curve of each training of a variant, by seed; of a planner its one."""
-        rows = self.table.where(policy=policy, scenario=scenario, curve=curve).curves
+        rows = self.table.part(policy, scenario).where(curve=curve).curves
         each = [rows] if rows["seed"].isna().all() else [own for _, own in rows.groupby("seed")]
         return [{name: column(own, name) for name in _NUMBERS} for own in each if len(own)]
 
@@ -170,7 +170,7 @@ class StudyResults:
         if curve is not None:
             columns = [own[name] for own in self.curves(curve, policy, scenario)]
         else:
-            rows = self.table.where(policy=policy, scenario=scenario).flights
+            rows = self.table.part(policy, scenario).flights
             rows = rows.assign(seed=rows["seed"].fillna(-1))
             columns = [column(own, name) for _, own in rows.groupby("seed")]
         if len({len(values) for values in columns}) > 1:
@@ -197,7 +197,7 @@ class StudyResults:
         """The mean AoU of a part in slots with its interval over missions; ends are nan where unknown."""
         if key.policy == BOUND:
             return Interval(self.bounds[key.scenario], np.nan, np.nan)
-        rows = self.table.where(policy=key.policy, scenario=key.scenario, seed=key.seed).flights
+        rows = self.table.part(key.policy, key.scenario).where(seed=key.seed).flights
         return interval_over_missions(column(rows, "mean_aou_slots"))
 
     def require_evaluated(self) -> StudyResults:

@@ -71,7 +71,7 @@ def _of_scenario(results: StudyResults, scenario: str) -> list[PolicyScores]:
         scores, trainings = results.stack(variant, scenario), results.trainings(variant, scenario)
         if scores.size:
             wall_s = float(trainings["wall_s"].mean()) if len(trainings) else None
-            counts = results.table.where(policy=variant, scenario=scenario).flights["violations"]
+            counts = results.table.part(variant, scenario).flights["violations"]
             violations = None if counts.isna().any() else int(counts.sum())
             knows = results.knows(variant)
             found.append(PolicyScores(variant, knows, len(trainings), scores, wall_s, violations))
