@@ -31,6 +31,7 @@ LESS = {  # work than the page asks for
 ELSEWHERE = {  # what takes longer, or needs more than a folder: the test that runs its like
     "uavaou tune": "tests/experiments",
     "uavaou study run smoke": "tests/experiments",
+    "uavaou study report smoke": "tests/reports",
     "uavaou study run ours.yaml": "the test below",
     "uavaou train --continue": "tests/runs/test_start.py",
     "uavaou link": "tests/link",
