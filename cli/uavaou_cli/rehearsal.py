@@ -53,9 +53,8 @@ def rehearsal_lines(rehearsal: Rehearsal) -> list[str]:
     texts += ignoring({one.name: one.policy for one in rehearsal.candidates}, scenario)
     if rehearsal.late:
         texts.append(f"Too slow for the time given: {', '.join(rehearsal.late)}; --seconds gives more.")
-    lead = f"Its lead is {'clear' if rehearsal.is_clear else 'not clear'}."
-    if len(rehearsal.candidates) == 1:
-        lead = "It was compared with no other."
+    alone = len(rehearsal.candidates) == 1
+    lead = "It was compared with no other." if alone else f"Its lead is {'' if rehearsal.is_clear else 'not '}clear."
     run = "" if best.run is None else f" It was trained here, in {best.run.path}."
     texts.append(f"Served: {best.name}, which knows {best.knows} in flight. {lead}{run}")
     return [*lines, *paragraphs(texts), ""]

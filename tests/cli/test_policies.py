@@ -160,7 +160,7 @@ def test_fly_rehearses_and_serves_the_best(shell: Shell, workplace: Path) -> Non
     assert found["served_run"] is None
     assert first["mean_aou_slots"] <= second["mean_aou_slots"]
     assert {candidate["knows"] for candidate in found["candidates"]} <= {"nothing", "local"}
-    assert f"Served: {first['policy']}, which knows {first['knows']} in flight." in out
+    assert f"Served: {first['policy']}, which knows {first['knows']} in flight. Its lead is " in out
     place = Path("results/tiny+layout_seed=2/fly/auto")
     assert all(str(place / f"{name}.png") in out for name in ("mission-10000-map", "rehearsal"))
     mission = read_mission(place / "mission-10000.json")

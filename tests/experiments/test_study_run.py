@@ -218,6 +218,16 @@ def test_the_tables_agree_with_the_run_folders(copied: tuple[Study, Path]) -> No
         assert (results.stack(planner, "tiny") >= bound * (1 - 1e-5)).all()
 
 
+def test_a_part_is_the_rows_of_a_policy_on_a_scenario(copied: tuple[Study, Path]) -> None:
+    _, out = copied
+    table = read_study(out / "studies/mine").table
+    pairs = table.flights[["policy", "scenario"]].drop_duplicates().values.tolist()
+    for policy, scenario in [*pairs, ("nobody", "tiny")]:
+        part, rows = table.part(policy, scenario), table.where(policy=policy, scenario=scenario)
+        assert part.flights.equals(rows.flights)
+        assert part.curves.equals(rows.curves)
+
+
 def test_long_curves_are_averaged_in_200_equal_groups(copied: tuple[Study, Path]) -> None:
     folder = run_folder(*copied)
     rows = [f"{k},{10 * k},{k / 2},{-k},{k * 2.0},{k % 7},{3}" for k in range(1, 1001)]

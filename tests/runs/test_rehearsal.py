@@ -15,6 +15,7 @@ from uavaou.planners.base import Stay
 from uavaou.runs import rehearsal
 from uavaou.runs.folder import RunFolder
 from uavaou.runs.rehearsal import Candidate, Rehearsal
+from uavaou_cli.rehearsal import rehearsal_lines
 
 TINY = Scenario.load("tiny")
 FAMILY = Family.from_dict({"name": "few", "base": TINY.to_dict(), "uavs": {"low": 1, "high": 3}})
@@ -64,8 +65,12 @@ def candidate(name: str, ages: list[float]) -> Candidate:
     ("second", "clear"), [([2.0, 3.1, 4.0, 5.2], True), ([0.0, 3.0, 3.0, 5.0], False), ([1.0, 2.0, 3.0, 4.0], False)]
 )
 def test_a_lead_is_clear_by_the_differences_on_common_missions(second: list[float], clear: bool) -> None:
-    first = candidate("first", [1.0, 2.0, 3.0, 4.0])
-    assert Rehearsal(TINY, (first, candidate("second", second)), ()).is_clear == clear
+    first = candidate("best-first", [1.0, 2.0, 3.0, 4.0])
+    both = Rehearsal(TINY, (first, candidate("greedy", second)), ())
+    assert both.is_clear == clear
+    told = " ".join(rehearsal_lines(both))
+    assert ("Its lead is clear." in told, "Its lead is not clear." in told) == (clear, not clear)
+    assert "It was compared with no other." in " ".join(rehearsal_lines(Rehearsal(TINY, (first,), ())))
 
 
 def test_one_that_is_behind_flies_no_more(monkeypatch: pytest.MonkeyPatch) -> None:

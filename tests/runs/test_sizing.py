@@ -1,5 +1,6 @@
 """Fleets in question: which there are, what a target means, and which is chosen; and the command."""
 
+import re
 from pathlib import Path
 
 import pandas as pd
@@ -78,6 +79,8 @@ def test_the_command_writes_a_table_a_picture_and_the_chosen_scenario(
     said = capsys.readouterr().out
     assert "Cheapest that holds a mean AoU of 60 min: 1 UAV from 0,0." in said
     table = pd.read_csv(tmp_path / "size.csv")
+    for policy, knows in table[["policy", "knows"]].values:
+        assert re.search(rf"{policy} +{knows} +yes", said)
     assert table["uavs"].tolist() == [1, 2]
     assert set(table["holds"]) == {"yes"}
     assert (tmp_path / "size.png").stat().st_size > 1000

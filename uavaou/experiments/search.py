@@ -74,18 +74,20 @@ class Arm:
     first: tuple[dict[str, Any], ...] = ()  # values of them that are tried before the sampler draws any
 
     @classmethod
-    def of(cls, algorithm: AlgorithmConfig, fixed: Collection[str], space: Path | None = None) -> Arm:
+    def of(cls, algorithm: AlgorithmConfig, fixed: Collection[str], space: SearchSpace | Path | None = None) -> Arm:
         """The arm that begins with an algorithm's settings.
 
         Args:
             algorithm: its settings.
             fixed: fields that are not varied.
-            space: file that says what is; None: what is shipped for the algorithm.
+            space: what is, or the file that says it; None: what is shipped for the algorithm.
 
         Raises:
             InputError: nothing is, or it does not suit the settings.
         """
-        varied = SearchSpace.load(algorithm.name, space, getattr(algorithm, "network", "mlp")).without(fixed)
+        if not isinstance(space, SearchSpace):
+            space = SearchSpace.load(algorithm.name, space, getattr(algorithm, "network", "mlp"))
+        varied = space.without(fixed)
         varied.check(algorithm)
         return cls(algorithm, varied, (varied.values(algorithm),))
 
@@ -114,15 +116,13 @@ class _ArmFile(BaseModel, extra="forbid"):
 
     def arm(self, name: str, source: str) -> Arm:
         try:
-            if isinstance(self.algorithm, dict):
-                algorithm = config_from_dict(self.algorithm, Path("settings"))
-            else:
-                algorithm = load_config(self.algorithm or name, self.set)
-                if self.space is None:
-                    return Arm.of(algorithm, self.set)
-            space = SearchSpace.from_dict(self.space or {}, "space").without(self.set)
+            if not isinstance(self.algorithm, dict):
+                own = None if self.space is None else SearchSpace.from_dict(self.space, "space")
+                return Arm.of(load_config(self.algorithm or name, self.set), self.set, own)
+            algorithm = config_from_dict(self.algorithm, Path("settings"))
+            space = SearchSpace.from_dict(self.space or {}, "space")
             space.check(algorithm)
-            return Arm(algorithm, space, tuple(self.first) or (space.values(algorithm),))
+            return Arm(algorithm, space, tuple(self.first))
         except InputError as error:
             raise InputError(f"{source}: {error}") from None
 
