@@ -88,14 +88,13 @@ def warnings(scenario: Scenario, routes: Sequence[Route]) -> list[str]:
     if routes[0].speed_m_s > scenario.speed_m_s * (1 + 1e-9):
         needed, speed = routes[0].speed_m_s, scenario.speed_m_s
         found.append(f"A grid step in a slot needs {needed:.3g} m/s, more than speed_m_s = {speed:g}: uavaou audit.")
-    if scenario.energy is None:
-        vertical = 2 * scenario.altitudes / scenario.speed_m_s  # (U,) s, take-off and landing
-        aloft = [(route.name, route.duration_s + climb) for route, climb in zip(routes, vertical.tolist(), strict=True)]
-        if late := [f"{name} ({time:,.0f} s)" for name, time in aloft if time > scenario.flight_time_budget_s + 1]:
-            found.append(
-                f"In the air for longer than flight_time_budget_s, {scenario.flight_time_budget_s:g} s, with holds, "
-                f"climb and landing: {', '.join(late)}. In the model holds cost no flight time; fewer slots would fit."
-            )
+    vertical = 2 * scenario.altitudes / scenario.speed_m_s  # (U,) s, take-off and landing
+    aloft = [(route.name, route.duration_s + climb) for route, climb in zip(routes, vertical.tolist(), strict=True)]
+    if late := [f"{name} ({time:,.0f} s)" for name, time in aloft if time > scenario.flight_time_budget_s + 1]:
+        found.append(
+            f"In the air for longer than flight_time_budget_s, {scenario.flight_time_budget_s:g} s, with holds, "
+            f"climb and landing: {', '.join(late)}. In the model holds cost no flight time; fewer slots would fit."
+        )
     if len(set(scenario.cds_m)) < len(routes):
         found.append("UAVs share a station: let one climb to its altitude before the next takes off.")
     return found
