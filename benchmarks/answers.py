@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Callable
 
 import numpy as np
@@ -22,6 +23,7 @@ from uavaou.statistics import Interval, interval_over_trainings, ratio_of_traini
 STARTS = {"paper": "nothing", "default": "a plan"}  # what the trainings of a study begin with
 RIVALS = ("vdn", "qmix")
 WORDS = {"supported": "MAPPO beats {}", "contradicted": "MAPPO is behind {}"}
+BREAKS = ROOT / "results" / "suites" / "breaks.csv.gz"
 HARDER = {"fading": "10", "rate": "150", "uavs": "3", "devices": "25", "areas": "1,000"}  # suite -> the paper's point
 
 
@@ -172,11 +174,35 @@ def harder() -> str:
 
 def breaks() -> str:
     """What missions as they really go cost each policy."""
-    (found,) = read_suites([ROOT / "results" / "suites" / "breaks.csv.gz"])
+    (found,) = read_suites([BREAKS])
     names = list(found.rows["policy"].unique())
     aou = {name: found.of(name).set_index("point")["aou"] for name in names}
     rows = [(point, *(with_interval(*aou[name][point]) for name in names)) for point in found.points]
     return table(("mean AoU, slots", *(f"`{name}`" for name in names)), rows)
+
+
+def draw_breaks() -> None:
+    """Draw the rows of :func:`breaks` as ratios to ``best-first`` on the same missions: results/suites/breaks.png."""
+    flights = pd.read_csv(BREAKS).sort_values("x", kind="stable")
+    points, names = list(flights["point"].unique()), [RELEASED, RULE, "greedy"]
+    aou = flights.pivot_table("mean_aou_slots", ["point", "mission_seed"], "policy")
+    with style.house_style():
+        figure, axes = style.new_axes(4.0)
+        looks = style.looks(names)
+        for shift, name in zip((-0.22, 0.0, 0.22), names, strict=True):  # side by side
+            look, ratios = looks[name], aou[name] / aou[REFERENCE]
+            value, low, high = np.array([mean_ratio(ratios[point]) for point in points]).T  # (P,) each
+            at, reach = np.arange(len(points)) + shift, [value - low, high - value]
+            drawn = {"color": look.colour, "marker": look.marker, "markersize": 3.5, "linestyle": "none"}
+            axes.errorbar(value, at, xerr=reach, elinewidth=1.0, capsize=1.8, label=look.label, **drawn)
+        axes.axvline(1, color=style.GREY, linewidth=0.8, linestyle=(0, (4, 1.5)))
+        axes.set(xscale="log", xlabel=f"ratio of mean AoU to {REFERENCE}")
+        style.label_log_axis(axes.xaxis, 1, 200)
+        axes.set_yticks(range(len(points)), [textwrap.fill(point, 26) for point in points])
+        axes.set_ylim(len(points) - 0.5, -0.5)
+        axes.grid(axis="y", visible=False)
+        style.legend_below(figure, axes, "bars: 95 % interval over missions; left of the line: lower AoU")
+        style.save(figure, BREAKS.parent, "breaks", quick=True)
 
 
 ANSWERS: dict[str, Callable[[], str]] = {

@@ -12,7 +12,7 @@ from collections.abc import Callable
 import numpy as np
 
 from benchmarks import reference
-from benchmarks.answers import ANSWERS, draw_gap
+from benchmarks.answers import ANSWERS, draw_breaks, draw_gap
 from benchmarks.measure import COLUMNS, kept_rows
 from benchmarks.tables import REFERENCE, RELEASED, ROOT, RULE, flown, mean_ratio, minutes, scores, study, suites
 from uavaou.evaluation.flights import VALIDATION
@@ -253,4 +253,5 @@ def main() -> int:
 if __name__ == "__main__":
     if "--check" not in sys.argv:
         draw_gap()
+        draw_breaks()
     sys.exit(main())
