@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import textwrap
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import pandas as pd
 
-from benchmarks.tables import REFERENCE, RELEASED, ROOT, RULE, flown, mean_ratio, minutes, scores, study, suites
+from benchmarks.tables import REFERENCE, RELEASED, ROOT, RULE, called, flown, mean_ratio, minutes, scores, study, suites
 from uavaou.arrays import Floats
 from uavaou.evaluation.flights import VALIDATION
 from uavaou.planners import PLANNERS
@@ -53,9 +54,10 @@ def learners() -> str:
         for variant in sorted(study(name).algorithms, key=lambda one: float(ages(name, one).mean())):
             own, here = ages(name, variant), scores(name)[variant].mean
             beside = "" if variant == "mappo" else with_interval(*ratio(name, variant))
-            rows.append((start, f"`{variant}`", str(len(own)), with_interval(*here), beside, elsewhere(name, variant)))
+            there = "" if variant == "mappo" else elsewhere(name, variant)
+            rows.append((start, f"`{called(name, variant)}`", str(len(own)), with_interval(*here), beside, there))
     head = ("begins with", "learner", "trainings", "AoU on `paper`, slots", "MAPPO's over it", "on other layouts")
-    return table(head, [(*row[:5], "" if "mappo" in row[1] else row[5]) for row in rows])
+    return table(head, rows)
 
 
 def beaten() -> str:
@@ -118,7 +120,8 @@ def draw_gap() -> None:
         axes.hlines(found["bound"], along - 0.4, along + 0.4, color=bound.colour, label=bound.label)
         for place, name in zip(np.linspace(-0.3, 0.3, len(names)), names, strict=True):  # side by side
             look = looks[name]
-            axes.plot(along + place, found[name], look.marker or "_", markersize=4, color=look.colour, label=look.label)
+            label = f"{look.label} from a plan" if name == "mappo" else look.label
+            axes.plot(along + place, found[name], look.marker or "_", markersize=4, color=look.colour, label=label)
         axes.set(yscale="log", xlabel="layout of paper", ylabel="mean AoU (slots)")
         axes.set_xticks(range(len(found)), [f"{layout:.0f}" for layout in found["layout"]])
         style.label_log_axis(axes.yaxis, *axes.get_ylim())
@@ -154,7 +157,8 @@ def learning() -> str:
     for name in sorted(slots, key=lambda one: float(slots[one].mean())):
         beside = "" if name == "mappo" else with_interval(*ratio_of_trainings({"": slots["mappo"]}, {"": slots[name]}))
         mean = with_interval(*interval_over_trainings(slots[name]))
-        rows.append((f"`{name}`", mean, beside, minutes("paper", name), rounded(float(ages("paper", name).mean()))))
+        aou = rounded(float(ages("paper", name).mean()))
+        rows.append((f"`{called('paper', name)}`", mean, beside, minutes("paper", name), aou))
     head = ("from nothing", "slots until it has converged", "MAPPO's over these", "CPU time", "AoU it ends with, slots")
     return table(head, rows)
 
@@ -193,7 +197,12 @@ def draw_breaks() -> None:
             look, ratios = looks[name], aou[name] / aou[REFERENCE]
             value, low, high = np.array([mean_ratio(ratios[point]) for point in points]).T  # (P,) each
             at, reach = np.arange(len(points)) + shift, [value - low, high - value]
-            drawn = {"color": look.colour, "marker": look.marker, "markersize": 3.5, "linestyle": "none"}
+            drawn: dict[str, Any] = {
+                "color": look.colour,
+                "marker": look.marker,
+                "markersize": 3.5,
+                "linestyle": "none",
+            }
             axes.errorbar(value, at, xerr=reach, elinewidth=1.0, capsize=1.8, label=look.label, **drawn)
         axes.axvline(1, color=style.GREY, linewidth=0.8, linestyle=(0, (4, 1.5)))
         axes.set(xscale="log", xlabel=f"ratio of mean AoU to {REFERENCE}")

@@ -31,7 +31,7 @@ MISSIONS = 64
 # MAPPO's work of one update, the same in every measurement whatever settings are published.
 WORK = {"missions": MISSIONS, "rollout_slots": 60, "batch_rows": 750, "epochs": 5, "critic_input": "global"}
 ROLLOUTS = 4  # of ours in one measurement, so that one slow moment hardly counts
-ALGORITHMS = ("mappo", "vdn", "qmix")
+ALGORITHMS = ("mappo-paper", "vdn", "qmix")
 STOCK = "stock SB3 PPO on SuperSuit's stage"
 
 
@@ -56,7 +56,7 @@ def _loaded(repeats: int, rollout_slots: int | None, hidden: list[int]) -> list[
     scenario, config = Scenario.load("paper"), _mappo(rollout_slots, hidden=hidden)
     rows = MISSIONS * scenario.uavs * config.rollout_slots
     contestants = {
-        _label("mappo", threads): (_learner(_ours(scenario, config), ROLLOUTS * rows, threads), ROLLOUTS * rows)
+        _label("mappo-paper", threads): (_learner(_ours(scenario, config), ROLLOUTS * rows, threads), ROLLOUTS * rows)
         for threads in sorted({1, available_threads()})
     }
     beside = f"beside {available_threads()} busy processes"
@@ -106,8 +106,8 @@ def _training(repeats: int, rollout_slots: int | None, hidden: list[int]) -> lis
         for processes in (1, 2)
     }
     for name in ALGORITHMS:
-        for threads in sorted({1, cores} if name == "mappo" else {1}):
-            model = _ours(scenario, config if name == "mappo" else load_config(name, {"hidden": hidden}))
+        for threads in sorted({1, cores} if name == "mappo-paper" else {1}):
+            model = _ours(scenario, config if name == "mappo-paper" else load_config(name, {"hidden": hidden}))
             contestants[_label(name, threads)] = (_learner(model, ROLLOUTS * rows, threads), ROLLOUTS * rows)
     return side_by_side(f"training on paper, 64 missions, networks {hidden[0]}-{hidden[1]}", contestants, repeats)
 

@@ -16,6 +16,7 @@ from uavaou.statistics import (
     interquartile_mean,
     interval_over_missions,
     interval_over_trainings,
+    log_band_over_trainings,
     mean_of_tasks,
     performance_profile,
     probability_of_improvement,
@@ -99,6 +100,24 @@ def test_means_and_bands_are_students_and_are_cut_at_possible_values() -> None:
     assert Interval(1.0, -3.0, 5.0).within(0) == (1.0, 0.0, 5.0)
     assert Interval(0.5, -3.0, 5.0).within(-1, 1) == (0.5, -1.0, 1.0)
     assert math.isnan(Interval(0.5, math.nan, math.nan).within(0).low)
+
+
+def test_a_band_on_a_logarithmic_axis_stays_above_zero_and_is_students_where_narrow() -> None:
+    """One training of ten that is far off takes Student's interval below 0; of skewed values it also misses more."""
+    table = np.array([[100.0, 100.0, -5.0, 0.0]] * 9 + [[16_000.0, 101.0, -6.0, 0.0]])  # (n, M)
+    band, student = log_band_over_trainings(table), band_over_trainings(table)
+    assert student.low[0] < 0 < 1690 / 9.7 < band.low[0] < band.value[0] < band.high[0] < 1690 * 9.7
+    np.testing.assert_allclose([band.low[1], band.high[1]], [student.low[1], student.high[1]], rtol=1e-5)
+    assert band.low[2] < band.value[2] < band.high[2] < 0
+    assert (band.low[3], band.high[3]) == (0, 0)
+    assert np.isnan(log_band_over_trainings(table[:1, :3]).low).all()
+    skewed = np.random.default_rng(0).lognormal(0, 1, (10, 3000))  # 3000 repetitions
+    truth = math.exp(0.5)
+    held = [
+        np.mean((of.low <= truth) & (truth <= of.high))
+        for of in (log_band_over_trainings(skewed), band_over_trainings(skewed))
+    ]
+    assert held == pytest.approx([0.88, 0.84], abs=0.02)
 
 
 def test_five_trainings_need_students_interval() -> None:

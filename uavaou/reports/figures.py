@@ -1,8 +1,9 @@
 """The figures of studies and training runs: the paper's 3 to 8, AoU against wall-clock time, aggregates, missions.
 
 Everything is drawn from the tables of a study; no policy is loaded. Training runs are condensed to the same tables, in
-memory. Bands and bars are Student's 95 % intervals over three and more training seeds; those of planners, and in
-figures 7 and 8 those of a single run, are bootstrap intervals over missions. Figures of a study show its best planner
+memory. Bands and bars are Student's 95 % intervals over three and more training seeds, of the logarithm of the mean: no
+measure changes its sign, and most axes are logarithmic. Those of planners, and in figures 7 and 8 those of a single
+run, are bootstrap intervals over missions. Figures of a study show its best planner
 and its best rule with local information, figures of runs all planners that were evaluated beside them. Ages are in
 slots.
 """
@@ -32,7 +33,7 @@ from uavaou.reports.suites import plot_suite, suites_of_study
 from uavaou.runs.flights import training_curves
 from uavaou.runs.folder import RunFolder
 from uavaou.scenario import Scenario
-from uavaou.statistics import Band, Interval, band_over_trainings, interval_over_missions
+from uavaou.statistics import Band, Interval, interval_over_missions, log_band_over_trainings
 from uavaou.world.knowledge import Knowledge
 
 _FEWEST_POINTS = 3  # of a curve over training
@@ -269,7 +270,7 @@ class _Scenario:
 
 def _over_seeds(values: ArrayLike) -> Band:
     """The mean of trainings, (S, B), with its interval where there are enough of them."""
-    band, few = band_over_trainings(values), len(np.asarray(values)) < drawing.FEWEST_TRAININGS
+    band, few = log_band_over_trainings(values), len(np.asarray(values)) < drawing.FEWEST_TRAININGS
     return Band(band.value, *np.full((2, len(band.value)), np.nan)) if few else band
 
 

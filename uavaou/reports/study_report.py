@@ -12,6 +12,7 @@ from urllib.parse import quote, unquote
 
 import numpy as np
 
+from uavaou.algorithms.registry import published_as
 from uavaou.errors import InputError
 from uavaou.evaluation.flights import VALIDATION, PartKey
 from uavaou.experiments.marl_eval import to_marl_eval
@@ -176,12 +177,20 @@ def _unfinished(results: StudyResults) -> str:
 def _results(results: StudyResults) -> Iterator[str]:
     """A table for each scenario, the best first."""
     yield _NOTE
+    yield "\n".join(_published(results))
     scores = study_scores(results)
     mixed = [scenario for scenario in scores if results.on_several_processors(scenario)]
     if mixed:
         yield _SEVERAL_PROCESSORS.format(where="" if len(mixed) == len(scores) else f" on {', '.join(mixed)}")
     for scenario, found in scores.items():
         yield f"## {scenario}\n\n" + table(_HEAD, map(_cells, found))
+
+
+def _published(results: StudyResults) -> Iterator[str]:
+    """Which variants have the name of other settings than theirs, as `mappo` from nothing has."""
+    for variant, settings in results.settings["variants"].items():
+        if (name := published_as(variant, settings.get("network", ""))) != variant:
+            yield f"Here `{variant}` has the settings of `uavaou train --algorithm {name}`."
 
 
 def _cells(one: PolicyScores) -> tuple[str, ...]:

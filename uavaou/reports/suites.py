@@ -21,7 +21,7 @@ from uavaou.experiments.suite_flights import budget_lines, summary
 from uavaou.reports import style
 from uavaou.reports.drawing import FEWEST_TRAININGS
 from uavaou.runs.released import released_names
-from uavaou.statistics import Interval, interval_over_trainings
+from uavaou.statistics import Interval, log_band_over_trainings
 
 _NEEDED = ("suite", "point", "x", "policy", "how", "mission_seed", "mean_aou_slots", "axis", "scale", "joined")
 _ALLOWED = {
@@ -172,7 +172,7 @@ def _draw_policy(
 def _over_seeds(rows: pd.DataFrame) -> Interval:
     """The mean over training seeds, of three and more with its interval; of one seed, that over its missions."""
     if len(rows) >= FEWEST_TRAININGS:
-        return interval_over_trainings(rows["mean_aou_slots"]).within(0)
+        return log_band_over_trainings(rows[["mean_aou_slots"]]).only
     if len(rows) == 2:
         return Interval(float(rows["mean_aou_slots"].mean()), np.nan, np.nan)
     (one,) = rows["aou"]

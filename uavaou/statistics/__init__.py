@@ -5,7 +5,8 @@ the values are                         the interval is                          
 =====================================  ==========================================  ====================
 missions of one policy                 a percentile bootstrap over the missions    ``missions``
 trainings (seeds), one value each      Student's; Welch's on logarithms for a      ``trainings``
-                                       ratio
+                                       ratio, Student's of the logarithm of the
+                                       mean for a figure's curves
 missions of all seeds and scenarios    a stratified bootstrap, as rliable's        ``aggregates``
 (IQM, probability of improvement,
 performance profile)
@@ -24,7 +25,13 @@ from uavaou.statistics.aggregates import (
 )
 from uavaou.statistics.intervals import Band, Interval
 from uavaou.statistics.missions import band_over_missions, interval_over_missions
-from uavaou.statistics.trainings import band_over_trainings, interval_over_trainings, mean_of_tasks, ratio_of_trainings
+from uavaou.statistics.trainings import (
+    band_over_trainings,
+    interval_over_trainings,
+    log_band_over_trainings,
+    mean_of_tasks,
+    ratio_of_trainings,
+)
 
 __all__ = [
     "Band",
@@ -35,6 +42,7 @@ __all__ = [
     "interquartile_mean",
     "interval_over_missions",
     "interval_over_trainings",
+    "log_band_over_trainings",
     "mean_of_tasks",
     "performance_profile",
     "probability_of_improvement",

@@ -48,6 +48,25 @@ def band_over_trainings(values: ArrayLike) -> Band:
     return Band(mean, mean - reach, mean + reach)
 
 
+def log_band_over_trainings(values: ArrayLike) -> Band:
+    """The mean m of each column with Student's interval of log m, which never reaches 0: m exp(-+ t s / (m sqrt n)).
+
+    For values of one sign, on a logarithmic axis. By the delta method s / m is the deviation of the logarithm; where it
+    is small this is Student's interval, and where one training of some is far off it holds the mean more often.
+
+    Args:
+        values: n trainings of M values, (n, M), of one sign.
+
+    Raises:
+        ValueError: as :func:`band_over_trainings`.
+    """
+    mean, _, high = band_over_trainings(values)
+    size = np.abs(mean)
+    reach = np.exp(np.divide(high - mean, size, out=np.zeros_like(mean), where=size > 0))
+    low, high = np.sort([mean / reach, mean * reach], axis=0)
+    return Band(mean, low, high)
+
+
 def mean_of_tasks(values: Groups) -> Interval:
     """The mean over tasks of the mean over trainings, with its interval.
 
