@@ -33,6 +33,7 @@ PAGES = (
     CARD,
     *reference.PAGES,
 )
+TUNED = "local-greedy-tuned"
 LEAST = 1.0  # slots: where the other has less, a ratio says nothing
 COMPARED = {  # of the table that benchmarks/compare.py writes: part -> heading, unit
     "stepping": ("stepping three agents, random actions", "agent steps per CPU second"),
@@ -52,12 +53,16 @@ def trained(name: str, variant: str, who: str) -> tuple[float, tuple[str, ...]]:
 def policies() -> str:
     """The table of README."""
     here: Interval = flown("known-layouts", RELEASED)["aou"]["0"]
+    tuned, searched = scores("paper")[TUNED], study("paper").settings["planning_seconds"] / 60
     rows = [
         trained("default", "mappo", "MAPPO, as `uavaou train` has it"),
-        trained("paper", "mappo", "MAPPO from nothing, as in the paper"),
         trained("paper", "qmix", "QMIX"),
         trained("paper", "vdn", "VDN"),
         (here.value, ("`any-map`, a policy for every map", with_interval(*here, digits=3), "none", "shared")),
+        (
+            tuned.mean.value,
+            (f"`{TUNED}`, a planner", with_interval(*tuned.mean), f"none; {searched:.0f} min of search", tuned.knows),
+        ),
     ]
     return table(HEAD, [cells for _, cells in sorted(rows)])
 
