@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import difflib
+import os
 import re
 import shlex
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
+from pathlib import Path
 
 _MOST_FAULTS = 15  # that one message lists
 _PLAIN_WORD = re.compile(r"[\w@%+=:,./-][\w@%+=:,./~-]*", re.ASCII)  # a ~ at the beginning alone means a home folder
@@ -88,6 +90,21 @@ def nearest(word: str, allowed: Iterable[str]) -> str:
     """Return a hint such as ``; did you mean 'slots'?``, or an empty string if no allowed word is near."""
     matches = difflib.get_close_matches(word, list(allowed), n=1, cutoff=0.5)
     return f"; did you mean '{matches[0]}'?" if matches else ""
+
+
+def nearest_path(path: Path) -> str:
+    """As :func:`nearest`, for a path that leads nowhere: each part that is not there becomes the nearest one there."""
+    found = Path(path.anchor)
+    for part in path.parts[len(found.parts) :]:
+        try:
+            there = [part] if os.path.lexists(found / part) else os.listdir(found)
+        except OSError:  # below a file, or not to be read
+            there = []
+        matches = difflib.get_close_matches(part, there, n=1, cutoff=0.5)
+        if not matches:
+            return ""
+        found /= matches[0]
+    return f"; did you mean '{found}'?" if found != path else ""
 
 
 def command_line(words: Iterable[object]) -> str:

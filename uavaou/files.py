@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import IO, Any
 from urllib.parse import quote
 
-from uavaou.errors import InputError
+from uavaou.errors import InputError, nearest_path
 
 
 class PathIn:
@@ -116,7 +116,8 @@ def read_bytes(path: Path, most_bytes: int) -> bytes:
     except (gzip.BadGzipFile, EOFError, zlib.error) as error:
         raise InputError(f"{path}: cannot be read: it is damaged, or not packed by gzip") from error
     except (OSError, ValueError) as error:
-        raise InputError(f"{path}: cannot be read: {getattr(error, 'strerror', None) or error}") from error
+        hint = nearest_path(path) if isinstance(error, FileNotFoundError) else ""
+        raise InputError(f"{path}: cannot be read: {getattr(error, 'strerror', None) or error}{hint}") from error
 
 
 def read_text(path: Path, most_bytes: int) -> str:

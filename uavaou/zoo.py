@@ -4,7 +4,7 @@ import os
 from pathlib import Path
 from typing import Any
 
-from uavaou.errors import InputError, nearest
+from uavaou.errors import InputError, nearest, nearest_path
 from uavaou.files import read_text
 from uavaou.plain_yaml import parse_yaml
 
@@ -51,7 +51,8 @@ def zoo_or_file(kind: str, source: str | Path) -> Path:
         known = f"{', '.join(names)}; or a path ending in .yaml"
         raise InputError(f"unknown {singular} '{name[:40]}'{nearest(name, names)} ({kind}: {known})")
     if not os.path.lexists(name):
-        raise InputError(f"{singular} file '{name}' does not exist{nearest(Path(name).stem, names)}")
+        hint = nearest_path(Path(name)) or nearest(Path(name).stem, names)
+        raise InputError(f"{singular} file '{name}' does not exist{hint}")
     return Path(name)
 
 

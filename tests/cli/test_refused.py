@@ -5,6 +5,7 @@ from pathlib import Path
 import pytest
 
 from tests.cli.commands import TINY, Shell, contents, run_process, runs
+from uavaou.errors import nearest_path
 from uavaou_cli.main import main
 
 VDN = "train --algorithm vdn --set algorithm"
@@ -85,6 +86,7 @@ BAD_INPUTS = [
     # eval
     ("eval", "nothing to evaluate"),
     ("eval nowhere", "'nowhere' does not exist"),
+    ("eval fil", "did you mean 'file'?"),
     ("eval greedy", "--policy greedy"),
     ("eval file", "not a folder"),
     ("eval .", "not a run folder"),
@@ -106,6 +108,9 @@ BAD_INPUTS = [
     # plot
     ("plot figures", "uavaou study run paper"),
     ("plot figures nowhere", "'nowhere' does not exist"),
+    ("plot figures fil", "did you mean 'file'?"),
+    ("plot suite fil", "did you mean 'file'?"),
+    ("replay ./fil", "did you mean 'file'?"),
     ("plot figures .", "not a run folder"),
     ("plot trajectories", "missing argument 'RUN'"),
     ("plot trajectories nowhere", "'nowhere' does not exist"),
@@ -266,3 +271,11 @@ def test_all_faults_of_a_scenario_are_lines_of_one_message(shell: Shell, workpla
         "  altitudes_m: has 1 entries, needs one for each of the 2 uavs; [80, 90] would fit\n"
         "  cds_m: has 0 entries, needs one for each of the 2 uavs; [[0, 0], [0, 0]] would fit\n"
     )
+
+
+def test_the_nearest_path_is_there_in_each_of_its_parts(tmp_path: Path) -> None:
+    there = tmp_path / "studies" / "paper" / "seed-0"
+    there.mkdir(parents=True)
+    assert nearest_path(tmp_path / "studie" / "papr" / "seed-9") == f"; did you mean '{there}'?"
+    for path in (there, there / "x", there.parent / "zzz", tmp_path / "zzz" / "paper"):
+        assert nearest_path(path) == ""

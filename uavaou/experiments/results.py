@@ -14,7 +14,7 @@ import numpy as np
 import pandas as pd
 
 from uavaou.arrays import Floats
-from uavaou.errors import InputError, command_line
+from uavaou.errors import InputError, command_line, nearest_path
 from uavaou.evaluation.flights import BOUND, TRAINING, Flights, PartKey, column
 from uavaou.files import PathIn, folder_name
 from uavaou.runs.lock import LOCK
@@ -231,7 +231,8 @@ def read_study(folder: str | Path) -> StudyResults:
     place = StudyFolder(Path(folder))
     if not place.study.is_file():
         problem = "holds no study.yaml" if place.path.exists() else "does not exist"
-        raise InputError(f"'{folder}' {problem}: expected the results of a study, such as results/studies/paper")
+        expected = nearest_path(place.path) or ": expected the results of a study, such as results/studies/paper"
+        raise InputError(f"'{folder}' {problem}{expected}")
     return read_begun(place)
 
 
