@@ -72,6 +72,12 @@ def test_dotted_names_that_it_gives_exist(page: Path) -> None:
 
 
 @pages
+def test_it_installs_from_the_clone(page: Path) -> None:
+    """The package is not published; what the program says, and so the blocks, holds where it is installed."""
+    assert not re.search(r"uavaou\[\w|install uavaou", markdown.BLOCK.sub("", page.read_text(encoding="utf-8")))
+
+
+@pages
 def test_uavaou_exports_what_it_imports(page: Path) -> None:
     import uavaou
 

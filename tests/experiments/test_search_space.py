@@ -21,6 +21,8 @@ from tests.experiments.small import (
     work,
 )
 from uavaou import InputError
+from uavaou.algorithms import registry
+from uavaou.algorithms.config import IppoConfig
 from uavaou.algorithms.registry import algorithm_names, load_config
 from uavaou.experiments.search import Search, SearchFolder, part, ranked
 from uavaou.experiments.search_space import SearchSpace
@@ -213,3 +215,17 @@ def test_an_arm_may_name_its_algorithm_and_state_its_space(tmp_path: Path) -> No
     arm = Search.load(written(tmp_path / "plan.yaml", arms={"mine": mine})).arms["mine"]
     assert arm.space.to_dict().keys() == {"gamma"}
     assert [list(values) for values in arm.first] == [["gamma"]]
+
+
+def test_an_algorithm_of_ones_own_brings_its_space(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setattr(registry, "_ALGORITHMS", dict(registry._ALGORITHMS))
+    own = {"gamma": {"kind": "categorical", "choices": [0.9, 0.98]}}
+    registry.register_algorithm("own", IppoConfig, IppoConfig.build, registry.find_algorithm("ippo").defaults, own)
+    registry.register_algorithm("wrong", IppoConfig, IppoConfig.build, space={"gamma": {"kind": "some"}})
+    assert SearchSpace.load("own").to_dict() == own
+    (tmp_path / "space.yaml").write_text("gamma: {kind: categorical, choices: [0.1, 0.2]}", encoding="utf-8")
+    assert SearchSpace.load("own", tmp_path / "space.yaml").to_dict()["gamma"]["choices"] == [0.1, 0.2]
+    with pytest.raises(InputError, match=r"algorithm 'wrong': space: gamma: unknown kind 'some'"):
+        SearchSpace.load("wrong")
+    with pytest.raises(InputError, match="no search space comes with 'iql'"):
+        SearchSpace.load("iql")

@@ -48,6 +48,7 @@ class Algorithm:
     config: type[AlgorithmConfig]
     build: Builder
     defaults: Path | None  # YAML; None: the configuration class has a default for every field
+    space: Mapping[str, Any] | None = None  # what a search varies; None: what is shipped for the name, if there is any
 
 
 _ALGORITHMS: dict[str, Algorithm] = {}
@@ -55,7 +56,13 @@ _LEARNERS = {"mappo-paper": "mappo", "mappo-family": "mappo"}  # of other publis
 _PLUGINS: set[Path] = set()  # files already loaded
 
 
-def register_algorithm(name: str, config: type[AlgorithmConfig], build: Builder, defaults: Path | None = None) -> None:
+def register_algorithm(
+    name: str,
+    config: type[AlgorithmConfig],
+    build: Builder,
+    defaults: Path | None = None,
+    space: Mapping[str, Any] | None = None,
+) -> None:
     """Make an algorithm known by name to training, evaluation and every command.
 
     Args:
@@ -64,6 +71,7 @@ def register_algorithm(name: str, config: type[AlgorithmConfig], build: Builder,
         build: ``build(config, env, seed, device)`` returns an SB3 algorithm on ``env``, which is what
             :func:`uavaou.flatten` returns.
         defaults: a YAML file with the published settings; None if every field of ``config`` has a default.
+        space: what ``uavaou tune`` varies: fields and their ranges, as in a file for ``--space``.
 
     Raises:
         InputError: the name is taken or misspelt, or ``config`` is not such a class.
@@ -85,7 +93,7 @@ def register_algorithm(name: str, config: type[AlgorithmConfig], build: Builder,
         raise InputError(f"algorithm '{name}' is registered already: choose another name")
     if not (isinstance(config, type) and issubclass(config, AlgorithmConfig)):
         raise InputError(f"algorithm '{name}': config = {config!r}: expected a subclass of uavaou.AlgorithmConfig")
-    _ALGORITHMS[name] = Algorithm(config, build, defaults)
+    _ALGORITHMS[name] = Algorithm(config, build, defaults, space)
 
 
 def algorithm_names() -> list[str]:

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 from pydantic import BaseModel, Field, model_validator
 
 from uavaou.algorithms.config import AlgorithmConfig
+from uavaou.algorithms.registry import find_algorithm
 from uavaou.errors import InputError, nearest, unknown
 from uavaou.fields import Positive, Whole, short, validated
 from uavaou.zoo import read_yaml_mapping, zoo_names, zoo_path
@@ -135,11 +136,13 @@ class SearchSpace:
 
     @classmethod
     def load(cls, algorithm: str, path: Path | None = None, network: str = "mlp") -> SearchSpace:
-        """Read a space from a file, or the one that is shipped for an algorithm with a network.
+        """Read a space from a file, or the one that is registered or shipped for an algorithm with a network.
 
         Raises:
             InputError: there is none, or the file cannot be used.
         """
+        if path is None and (own := find_algorithm(algorithm).space) is not None:
+            return cls.from_dict(own, f"algorithm '{algorithm}': space")
         if path is None:
             shipped = algorithm if network == "mlp" else f"{algorithm}-set"
             if shipped not in zoo_names("tuning"):
