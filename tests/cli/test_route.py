@@ -54,7 +54,7 @@ def test_what_fly_serves_is_exported(shell: Shell, field: Path) -> None:
 
 def test_saved_rules_and_plans_are_flown(shell: Shell, field: Path) -> None:
     for planner in ("tour", "local-greedy-tuned"):
-        shell.done(f"plan field.yaml --planner {planner} --time-limit 0.5 --episodes 1 --out {planner} --quiet")
+        shell.done(f"plan field.yaml --planner {planner} --time-limit 2 --episodes 1 --out {planner} --quiet")
         mean = json.loads(Path(planner, "plan.json").read_text())["mean_aou_s"]
         assert mean > 0
         files = shell.done(f"route field.yaml --policy {planner}/plan.json --quiet --episodes 4 --out {planner}/route")
