@@ -101,7 +101,7 @@ def test_junk_is_refused_politely(mapping: dict[str, Any]) -> None:
     assert refusal(lambda: Scenario.from_dict(mapping))
 
 
-@settings(max_examples=300)
+@settings(max_examples=150)
 @given(changes=st.dictionaries(fields, junk | near_numbers, min_size=1, max_size=4))
 def test_a_good_scenario_with_junk_in_it_is_refused_politely(changes: dict[str, Any]) -> None:
     for action in (lambda: TINY.replace(**changes), lambda: Scenario.from_dict(TINY.to_dict() | changes)):

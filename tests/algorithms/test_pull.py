@@ -126,7 +126,7 @@ def test_a_new_policy_flies_as_the_rule(changes: dict[str, Any], rule: type[Loca
     env = flatten(scenario, 2, collection="auto", rows="entities")
     policy: Any = MAPPO(env=env, seed=0, policy_kwargs=SET).policy
     views, same, moves_made = EntityViews(scenario, "local", "auto"), 0, 0
-    for world, moves in slots(scenario, 4, rule()):
+    for world, moves in slots(scenario, 2, rule()):
         rows = th.from_numpy(views.local(world).reshape(-1, views.layout.local_size))
         same += int((policy.act(rows, None).numpy().reshape(moves.shape) == moves).sum())
         moves_made += moves.size

@@ -52,21 +52,23 @@ LEARNERS: dict[str, Callable[[], BaseAlgorithm]] = {
 def test_weights_do_not_depend_on_the_number_of_threads(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(update, "ROWS", 40)  # of a shard: several in each minibatch
     monkeypatch.setattr(update, "AUTOGRAD_ROWS", 40)
-    of_one, *others = [
-        weights(LEARNERS[name]()).numpy().tobytes() for number in (1, 2, 4) for _ in [use_threads(number)]
+    of_one, of_several = [
+        weights(LEARNERS[name]()).numpy().tobytes() for number in (1, 3) for _ in [use_threads(number)]
     ]
-    assert others == [of_one, of_one]
+    assert of_several == of_one
 
 
 @pytest.mark.parametrize("name", ["mappo", "mappo, set", "qmix"])
 def test_two_trainings_in_threads_of_one_process_end_and_do_not_disturb_each_other(name: str) -> None:
     use_threads(2)
-    alone = weights(small_model(IPPO, n_steps=30).learn(2 * 30 * 8))
+    model = small_model(IPPO, n_steps=30)
+    before = weights(model)
     with ThreadPoolExecutor(2) as pool:
-        other = pool.submit(LEARNERS[name])
-        beside = pool.submit(lambda: weights(small_model(IPPO, n_steps=30).learn(2 * 30 * 8)))
+        other, beside = pool.submit(LEARNERS[name]), pool.submit(model.learn, 2 * 30 * 8)
         other.result(timeout=100)
-        assert beside.result(timeout=100).shape == alone.shape
+        after = weights(beside.result(timeout=100))
+    assert after.isfinite().all()
+    assert not th.equal(after, before)
 
 
 class Bodies(BaseCallback):

@@ -2,6 +2,7 @@
 
 import json
 import shutil
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,7 @@ from tests.runs.stopped_runs import small
 from uavaou import MAPPO, InputError, RunConfig, Scenario, World, evaluate, flatten, load_run, train
 from uavaou.algorithms.registry import load_config, make_model
 from uavaou.planners import make_planner
-from uavaou.planners.tuned import LocalGreedyTuned, _Search
+from uavaou.planners.tuned import LocalGreedyTuned, RulePlan, _Search
 from uavaou.runs.folder import RunFolder
 from uavaou.runs.policy import TrainedPolicy
 from uavaou.runs.pull_plan import plan_of
@@ -28,7 +29,7 @@ SETTINGS: dict[str, Any] = {
     "token_width": 8,
     "hidden": [16],
     "collection": "auto",
-    "plan_slots": 1_000_000,
+    "plan_slots": 200_000,
     "slots": 3000,
     "missions": 4,
     "rollout_slots": 50,
@@ -42,10 +43,16 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> RunFolder:
     return train(RunConfig.load("mappo", "quickstart", **SETTINGS), folder).folder
 
 
+@cache
+def searched(name: str) -> RulePlan:
+    scenario = Scenario.load(name)
+    return LocalGreedyTuned(slots=100_000).plan(scenario, scenario.draw_layout())
+
+
 def test_the_search_ends_with_its_slots() -> None:
     layout = PAPER.draw_layout()
-    one, two = (LocalGreedyTuned(slots=100_000).plan(PAPER, layout) for _ in range(2))
-    np.testing.assert_array_equal(one.pull, two.pull)
+    again = LocalGreedyTuned(slots=100_000).plan(PAPER, layout)
+    np.testing.assert_array_equal(searched("paper").pull, again.pull)
     search = _Search(PAPER, layout)
     whole = 2 * 16 * PAPER.slots * 3 * 1.5  # both starts: each UAV's flight, and half as much to see what they leave
     assert search.slots == whole // 24
@@ -61,13 +68,12 @@ def test_the_search_grows_with_the_root_of_the_budget(tmp_path: Path, monkeypatc
     monkeypatch.setattr("uavaou.runs.pull_plan.LocalGreedyTuned", noting)
     for budget in (500_000, 125_000, 2_000_000):
         plan_of(RunConfig.load("mappo", "quickstart", **SETTINGS | {"slots": budget}), RunFolder(tmp_path))
-    assert asked == [1_000_000, 500_000, 2_000_000]
+    assert asked == [200_000, 100_000, 400_000]
 
 
 def test_planned_steps_are_the_plan_s_pull_and_a_new_policy_flies_it() -> None:
     layout = PAPER.draw_layout()
-    tuned = LocalGreedyTuned(slots=100_000)
-    plan, world = tuned.plan(PAPER, layout), World(PAPER, 4, 3)
+    tuned, plan, world = LocalGreedyTuned(), searched("paper"), World(PAPER, 4, 3)
     of_map = plan.of_map(PAPER, layout)
     steps = planned_steps(world, [of_map])[0].astype(np.float64)  # (U, C, I)
     serves = of_map.serves[:, None] & np.ones(steps.shape, dtype=np.bool_)
@@ -193,8 +199,8 @@ def test_missions_that_each_need_a_plan_first_are_told_a_few_at_a_time(planned: 
 @pytest.mark.parametrize("name", ["paper", "quickstart"])
 def test_hearing_the_others_takes_no_uav_off_its_plan(name: str) -> None:
     """Before anything is learned: true ages of foreign devices once drew UAVs there, which cost 8 %."""
-    scenario, layout = Scenario.load(name), Scenario.load(name).draw_layout()
-    plan = LocalGreedyTuned(slots=100_000).plan(scenario, layout).of_map(scenario, layout)
+    scenario = Scenario.load(name)
+    plan = searched(name).of_map(scenario, scenario.draw_layout())
     aou = []
     for level in ("local", "shared"):
         config = load_config("mappo", {"observation": level})

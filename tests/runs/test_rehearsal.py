@@ -38,7 +38,7 @@ def test_its_missions_are_its_own() -> None:
     ("knows", "more"), [("local", set()), ("shared", set()), ("everything", {"best-first", "rolling"})]
 )
 def test_no_candidate_knows_more_than_it_may(knows: str, more: set[str]) -> None:
-    found = rehearse(TINY, 2.0, knows)
+    found = rehearse(TINY, 1.0, knows)
     names = {candidate.name for candidate in found.candidates} | set(found.late)
     assert names == {"local-greedy-parts", "local-greedy-tuned", "anneal", "any-map"} | more
     flown = [len(candidate.ages) for candidate in found.candidates]

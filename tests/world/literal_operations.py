@@ -4,8 +4,8 @@ import itertools
 import math
 from typing import Any
 
+from tests.world.literal_mission import LiteralMission
 from tests.world.test_channel import splitmix64
-from tests.world.test_literal_mission import LiteralMission
 from uavaou import Scenario, World
 
 FULL = 10**9

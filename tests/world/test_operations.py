@@ -54,6 +54,8 @@ def assert_same_outcome(outcome: dict[str, Any], world: World, lane: int, reward
     for name in ("positions", "age_sum", "flight_time", "battery"):
         np.testing.assert_allclose(seen[name], outcome[name], rtol=1e-12, atol=1e-12, err_msg=name)
     assert reward == pytest.approx(outcome["reward"], rel=1e-9, abs=1e-9)
+    if world.operations.off:
+        assert reward == pytest.approx(-seen["age_sum"].sum(), rel=1e-12)
 
 
 def compare(scenario: Scenario, seed: int, lanes: int) -> None:
@@ -63,8 +65,10 @@ def compare(scenario: Scenario, seed: int, lanes: int) -> None:
     selects = rng.random() < 0.5
     while not world.done:
         snr = world.snr
+        gains = snr / world.channel.mean_snr(world.positions)
         for lane, mission in enumerate(literal):
             mission.open()
+            np.testing.assert_allclose(snr[lane], mission.snr(gains[lane]), rtol=1e-9)
             assert_same_slot(world, mission, lane)
             in_range = [[mission.in_range(u, i, snr[lane]) for i in mission.things] for u in mission.fleet]
             assert world.in_range[lane].tolist() == in_range
@@ -78,17 +82,18 @@ def compare(scenario: Scenario, seed: int, lanes: int) -> None:
 
 def assert_same_totals(world: World, literal: list[LiteralOperations]) -> None:
     """Compare what is said of whole missions."""
-    metrics, measures, tau, slots = (
-        world.metrics(),
-        world.measures(),
-        world.scenario.slot_length_s,
-        world.scenario.slots,
-    )
+    metrics, measures = world.metrics(), world.measures()
+    tau, slots = world.scenario.slot_length_s, world.scenario.slots
     for lane, mission in enumerate(literal):
-        assert metrics.reward[lane] == pytest.approx(
-            mission.reward_sum, rel=1e-9
-        )  # the paper's, whatever the objective
+        # The paper's, whatever the objective.
+        assert metrics.reward[lane] == pytest.approx(mission.reward_sum, rel=1e-12)
+        assert metrics.mean_aou_s[lane] == pytest.approx(-mission.reward_sum / slots, rel=1e-12)
         assert metrics.device_communications[lane].tolist() == mission.communications
+        assert metrics.communications[lane] == sum(mission.communications)
+        assert metrics.devices_served[lane] == sum(count > 0 for count in mission.communications)
+        of_sorties = [more * mission.zeta(u, 0) for u, more in enumerate(mission.sorties)]
+        flown = [mission.zeta(u, steps) - mission.zeta(u, 0) for u, steps in enumerate(mission.flown)]
+        assert metrics.flight_time_s[lane] == pytest.approx(np.add(of_sorties, flown))
         if measures is None:
             continue
         mean, peak, late = (np.array(one) for one in (mission.aoi_sum, mission.aoi_peak, mission.late))
@@ -105,6 +110,17 @@ def assert_same_totals(world: World, literal: list[LiteralOperations]) -> None:
 @given(scenario=operated(), seed=seeds)
 def test_equals_a_literal_mission(scenario: Scenario, seed: int) -> None:
     compare(scenario, seed, lanes=2)
+
+
+@settings(max_examples=120)
+@given(scenario=scenarios(), seed=seeds)
+def test_a_mission_of_the_paper_equals_a_literal_one(scenario: Scenario, seed: int) -> None:
+    compare(scenario, seed, lanes=3)
+
+
+@pytest.mark.parametrize("preset", ["tiny", "quickstart"])
+def test_presets_equal_a_literal_mission(preset: str) -> None:
+    compare(Scenario.load(preset), seed=1, lanes=2)
 
 
 # -- what must hold in every mission

@@ -89,18 +89,19 @@ def fields(draw: Any) -> Scenario:
 
 def literal_free(scenario: Scenario, u: int) -> dict[tuple[int, int], list[tuple[int, int]]]:
     """The cells that are free for a UAV, and where free legs lead from each."""
-    outline = shapely.Polygon(scenario.outline_m).buffer(ROUNDING_M, join_style="mitre") if scenario.outline_m else None
-    zones = [zone for zone in scenario.no_fly or () if zone.applies(scenario.altitudes_m[u])]
-
-    def free(one: tuple[int, int], other: tuple[int, int]) -> bool:
-        leg = shapely.LineString(np.array([one, other]) * scenario.grid_step_m)
-        gap = [shapely.Polygon(zone.polygon_m).distance(leg) - zone.margin_m for zone in zones]
-        return (outline is None or outline.covers(leg)) and all(each > ROUNDING_M for each in gap)
-
-    cells = [(x, y) for x in range(scenario.columns) for y in range(scenario.rows) if free((x, y), (x, y))]
-    steps = [(0, 1), (0, -1), (1, 0), (-1, 0)]
-    beside = {(x, y): [(x + a, y + b) for a, b in steps if (x + a, y + b) in cells] for x, y in cells}
-    return {cell: [there for there in near if free(cell, there)] for cell, near in beside.items()}
+    cells = [(x, y) for x in range(scenario.columns) for y in range(scenario.rows)]
+    beside = {(x, y): [(x + a, y + b) for a, b in STEP_OF_MOVE.tolist() if (x + a, y + b) in cells] for x, y in cells}
+    pairs = [(cell, there) for cell, near in beside.items() for there in near]  # of a cell and itself, too
+    legs = shapely.linestrings(np.array(pairs) * scenario.grid_step_m)
+    free = np.ones(len(pairs), dtype=np.bool_)
+    if scenario.outline_m:
+        free &= shapely.covers(shapely.Polygon(scenario.outline_m).buffer(ROUNDING_M, join_style="mitre"), legs)
+    for zone in scenario.no_fly or ():
+        if zone.applies(scenario.altitudes_m[u]):
+            free &= shapely.distance(shapely.Polygon(zone.polygon_m), legs) - zone.margin_m > ROUNDING_M
+    open_ = {pair for pair, is_free in zip(pairs, free, strict=True) if is_free}
+    alone = {cell for cell in cells if (cell, cell) in open_}
+    return {cell: [to for to in beside[cell] if cell != to in alone and (cell, to) in open_] for cell in alone}
 
 
 def literal_steps(legs: dict[tuple[int, int], list[tuple[int, int]]], sources: Any) -> dict[tuple[int, int], int]:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -49,9 +50,12 @@ class StudyFolder:
         return self.path / "best" / folder_name(key.scenario) / folder_name(key.policy) / f"seed-{key.seed}"
 
 
-@dataclass
+@dataclass(frozen=True)
 class StudyResults:
-    """What a study has measured: trainings, planners (which have no seeds) and bounds."""
+    """What a study has measured: trainings, planners (which have no seeds) and bounds.
+
+    A page asks for the same again and again, so what follows from all rows is computed once.
+    """
 
     folder: StudyFolder
     settings: dict[str, Any]  # the content of ``study.yaml``, every setting of every run
@@ -67,7 +71,7 @@ class StudyResults:
         """The study on a command line: the name of a shipped one, else the name of its file."""
         return command_line([self.name if self.name in zoo_names("studies") else f"{self.name}.yaml"])
 
-    @property
+    @cached_property
     def flights(self) -> pd.DataFrame:
         """The flights without bounds, which nobody flew."""
         return self.table.flights[self.table.flights["policy"] != BOUND]
@@ -78,7 +82,7 @@ class StudyResults:
         keys = self.table.flights[["policy", "scenario", "seed"]].drop_duplicates()
         return [PartKey(policy, place, None if pd.isna(seed) else int(seed)) for policy, place, seed in keys.values]
 
-    @property
+    @cached_property
     def algorithms(self) -> dict[str, str]:
         """Variant -> algorithm of the learned variants, in the study's order."""
         stated = _mapping(self.settings.get("variants"))
@@ -87,12 +91,12 @@ class StudyResults:
         order = [*(name for name in stated if name in learned), *sorted(learned - stated.keys())]
         return {name: str(_mapping(stated.get(name)).get("name", name)) for name in order}
 
-    @property
+    @cached_property
     def planners(self) -> tuple[str, ...]:
         """The planners and released policies evaluated."""
         return tuple(self.flights.loc[self.flights["seed"].isna(), "policy"].unique())
 
-    @property
+    @cached_property
     def bounds(self) -> dict[str, float]:
         """Scenario -> certified lower bound of the mean AoU, slots."""
         rows = self.table.where(policy=BOUND).flights
@@ -110,7 +114,7 @@ class StudyResults:
         stated = self.settings.get("drawn")
         return [name for name in self.algorithms if not isinstance(stated, list) or name in stated]
 
-    @property
+    @cached_property
     def scenarios(self) -> dict[str, dict[str, Any]]:
         """Name -> fields of the scenarios with trained or evaluated parts, in the study's order; no points of suites.
 
@@ -119,8 +123,8 @@ class StudyResults:
         """
         stated = _mapping(self.settings.get("scenarios"))
         apart = self.flights["suite"].isna()
-        found = {*self.flights.loc[apart, "scenario"], *self.table.curves["scenario"]}
-        found -= {*self.flights.loc[~apart, "scenario"]}
+        found = {*self.flights.loc[apart, "scenario"].unique(), *self.table.curves["scenario"].unique()}
+        found -= {*self.flights.loc[~apart, "scenario"].unique()}
         for name in sorted(found):
             if name.startswith(".") or set(name) & set("/\\\0"):  # figures go to folders of these names
                 raise InputError(f"{self.folder.path}: scenario {name!r} cannot name a folder")

@@ -112,7 +112,9 @@ class Flight:
 
 def grid_cells(scenario: Scenario) -> Ints:
     """Return the (column, row) of every grid cell, column by column, (C, 2); cell c is column * rows + row."""
-    return np.indices((scenario.columns, scenario.rows)).reshape(2, -1).T
+    # Rows lie one after the other in memory, with zones and without: compiled functions are compiled anew for another
+    # order, here and in all that follows from these cells.
+    return np.ascontiguousarray(np.indices((scenario.columns, scenario.rows)).reshape(2, -1).T)
 
 
 def neighbours(scenario: Scenario) -> tuple[Ints, Bools]:
@@ -173,7 +175,7 @@ def backwards(scenario: Scenario) -> Ints:
 def open_moves(scenario: Scenario) -> Bools:
     """Return which moves of each UAV stay on the grid and follow a free leg, (U, C, 5)."""
     free, (_, on_grid) = free_moves(scenario), neighbours(scenario)
-    return np.broadcast_to(on_grid, (scenario.uavs, *on_grid.shape)) if free is None else free
+    return np.broadcast_to(on_grid, (scenario.uavs, *on_grid.shape)).copy() if free is None else free
 
 
 def closed_cells(scenario: Scenario) -> Bools | None:
