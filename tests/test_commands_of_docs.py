@@ -1,6 +1,7 @@
 """The commands of the pages' code blocks run one after the other, trainings with a small budget; what a comment names
 is there afterwards."""
 
+import os
 import re
 import shlex
 import shutil
@@ -10,11 +11,13 @@ from glob import glob
 from pathlib import Path
 
 import pytest
+from filelock import FileLock
 
 import uavaou.runs.train
 from tests.documents import ROOT, blocks, console
 from uavaou import RunConfig
 from uavaou.algorithms import registry
+from uavaou.experiments.suite import Suite
 from uavaou_cli.main import main
 
 pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("quick_plans")]
@@ -65,6 +68,7 @@ def small(config: RunConfig) -> RunConfig:
         "epochs": 1,
         "evaluation_missions": 1,
         "learning_starts": 20,
+        "plan_slots": 10_000,
         "batch_slots": 8,
         "replay_slots": 100,
         "slots_per_update": 50,
@@ -76,18 +80,26 @@ def small(config: RunConfig) -> RunConfig:
 
 @pytest.fixture(scope="module")
 def trained(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
-    """The results of a training of ``paper``; from then on, every training is small."""
-    place = tmp_path_factory.mktemp("trained")
+    """The results of a training of ``paper``, once for all processes of the tests; from then on, every one is small."""
+    own = tmp_path_factory.getbasetemp()
+    place = (own.parent if "PYTEST_XDIST_WORKER" in os.environ else own) / "small-training"
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(uavaou.runs.train, "train", lambda config, *rest, **more: as_asked(small(config), *rest, **more))
-        assert main(["train", "paper", "--quiet", "--out", str(place)]) == 0
+        with FileLock(f"{place}.lock"):
+            if not (place / "paper").exists():
+                assert main(["train", "paper", "--quiet", "--out", str(place)]) == 0
         yield place
 
 
 @pytest.fixture
 def place(trained: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A folder with that training, committed results, and the files that the how-to pages tell the reader to save."""
+    """A folder with that training, committed results, and the files that the how-to pages tell the reader to save.
+
+    Suites have two points.
+    """
     monkeypatch.chdir(tmp_path)
+    load = Suite.load
+    monkeypatch.setattr(Suite, "load", lambda name: load(name).model_copy(update={"points": load(name).points[:2]}))
     sensors, devices = blocks(HOW_TO / "import.md", "csv")
     saved = {
         "sensors.csv": sensors,
