@@ -100,7 +100,8 @@ def test_the_report_gives_ratios_and_the_file_every_figure(tmp_path: Path) -> No
 
 
 @pytest.mark.slow
-def test_endurance_measures_memory_and_rate_on_the_way() -> None:
+def test_endurance_measures_memory_and_rate_on_the_way(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("uavaou.runs.pull_plan._BUDGET", 10**10)  # so that the search for a plan is short
     assert_measured(trained(3 * 4000, parts=3))  # an update each
 
 

@@ -18,6 +18,7 @@ from tests.documents import ROOT, blocks, console
 from uavaou import RunConfig
 from uavaou.algorithms import registry
 from uavaou.experiments.suite import Suite
+from uavaou.statistics import aggregates
 from uavaou_cli.main import main
 
 pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("quick_plans")]
@@ -26,10 +27,11 @@ as_asked = uavaou.runs.train.train
 RUN = "results/paper/mappo/seed-0"
 LESS = {  # work than the page asks for
     "eval": ["--episodes", "2"],
-    "fly": ["--seconds", "3"],
+    "fly": ["--seconds", "1"],
     "rolling": ["--time-limit", "1"],
-    "route": ["--seconds", "3", "--episodes", "2"],
-    "size": ["--seconds", "2"],
+    "anneal": ["--time-limit", "1"],
+    "route": ["--seconds", "1", "--episodes", "2"],
+    "size": ["--seconds", "1"],
 }
 ELSEWHERE = {  # what takes longer, or needs more than a folder: the test that runs its like
     "uavaou tune": "tests/experiments",
@@ -95,9 +97,10 @@ def trained(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
 def place(trained: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A folder with that training, committed results, and the files that the how-to pages tell the reader to save.
 
-    Suites have two points.
+    Suites have two points, and intervals few resamples.
     """
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(aggregates, "RESAMPLES", 100)
     load = Suite.load
     monkeypatch.setattr(Suite, "load", lambda name: load(name).model_copy(update={"points": load(name).points[:2]}))
     sensors, devices = blocks(HOW_TO / "import.md", "csv")
@@ -120,8 +123,9 @@ def write_files(page: Path) -> None:
     """What the page says to save: blocks whose first line is a comment with a name, or a header; studies are small."""
     for code in (*blocks(page, "python"), *blocks(page, "yaml"), *blocks(page, "csv")):
         name = re.match(r"# (\w+\.\w+)\n", code)
-        few = re.sub(r"^slots: \d+", "slots: 4000", re.sub(r"^seeds: \d+", "seeds: 1", code, flags=re.M), flags=re.M)
-        Path(name[1] if name else "mine.csv").write_text(few, encoding="utf-8")
+        for asked, less in (("slots", "1000\nepisodes: 4"), ("seeds", "1"), ("planning_seconds", "1")):
+            code = re.sub(rf"^{asked}: \d+", f"{asked}: {less}", code, flags=re.M)
+        Path(name[1] if name else "mine.csv").write_text(code, encoding="utf-8")
 
 
 @pytest.fixture
@@ -191,8 +195,8 @@ def test_a_study_writes_the_card_of_a_training_that_it_takes_over(
     study = blocks(page, "yaml")[1]
     assert "slots: 300000" in study
     assert "`uavaou train --scenario valley.yaml --slots 300000`" in page.read_text(encoding="utf-8")
-    Path("ours.yaml").write_text(study.replace("300000", "8000"), encoding="utf-8")
-    assert main(["train", "--scenario", "valley.yaml", "--slots", "8000", "--quiet"]) == 0
+    Path("ours.yaml").write_text(study.replace("300000", "1000"), encoding="utf-8")
+    assert main(["train", "--scenario", "valley.yaml", "--slots", "1000", "--quiet"]) == 0
     (meta,) = place.glob("results/valley*/mappo*/seed-0/meta.json")
     before = meta.read_bytes()
     (line,) = (line for line in console(page) if "ours.yaml" in line)

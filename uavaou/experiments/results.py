@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -49,7 +50,7 @@ class StudyFolder:
         return self.path / "best" / folder_name(key.scenario) / folder_name(key.policy) / f"seed-{key.seed}"
 
 
-@dataclass
+@dataclass(frozen=True)
 class StudyResults:
     """What a study has measured: trainings, planners (which have no seeds) and bounds."""
 
@@ -67,7 +68,7 @@ class StudyResults:
         """The study on a command line: the name of a shipped one, else the name of its file."""
         return command_line([self.name if self.name in zoo_names("studies") else f"{self.name}.yaml"])
 
-    @property
+    @cached_property
     def flights(self) -> pd.DataFrame:
         """The flights without bounds, which nobody flew."""
         return self.table.flights[self.table.flights["policy"] != BOUND]
@@ -78,7 +79,7 @@ class StudyResults:
         keys = self.table.flights[["policy", "scenario", "seed"]].drop_duplicates()
         return [PartKey(policy, place, None if pd.isna(seed) else int(seed)) for policy, place, seed in keys.values]
 
-    @property
+    @cached_property
     def algorithms(self) -> dict[str, str]:
         """Variant -> algorithm of the learned variants, in the study's order."""
         stated = _mapping(self.settings.get("variants"))
@@ -110,7 +111,7 @@ class StudyResults:
         stated = self.settings.get("drawn")
         return [name for name in self.algorithms if not isinstance(stated, list) or name in stated]
 
-    @property
+    @cached_property
     def scenarios(self) -> dict[str, dict[str, Any]]:
         """Name -> fields of the scenarios with trained or evaluated parts, in the study's order; no points of suites.
 

@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence, Set
 from concurrent.futures import Future, wait
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import chain
 from pathlib import Path
@@ -229,7 +229,8 @@ class _Work:
             self.state.running.pop(key, None)
         try:
             kept = self._results.table.of_jobs(job.digests.values(), kept=False)
-            self._results.table = Flights.joined([kept, _named(future.result(), self._study, self._names)])
+            own = _named(future.result(), self._study, self._names)
+            self._results = replace(self._results, table=Flights.joined([kept, own]))
             if isinstance(job, Training) or time.monotonic() > self._write_from:
                 self.write()
             if isinstance(job, Training):
@@ -248,7 +249,8 @@ class _Work:
     def write(self) -> None:
         """Write the tables; those of short jobs that end in the next while, ten times as long as it took, wait."""
         began = time.monotonic()
-        self._results.table = _named(self._results.table, self._study, self._names)  # in their order
+        table = _named(self._results.table, self._study, self._names)  # in their order
+        self._results = replace(self._results, table=table)
         self._results.table.write(self._results.folder.path)
         self._write_from = time.monotonic() + 10 * (time.monotonic() - began)
 
