@@ -1,16 +1,17 @@
-"""A plugin whose trainings wait half a second after each update: short ones can be stopped in their middle."""
+"""A plugin that lets a training wait after each update, from 4 of the tests' on: a short one is stopped in its middle."""
 
 import time
 from typing import Any
 
 from uavaou.runs import recorder
 
+pause_s = 0.5
 check = recorder.check_learner
 
 
 def wait(model: Any, done: int, kept: str) -> None:
     check(model, done, kept)
-    time.sleep(0.5)
+    time.sleep(pause_s if done > 480 else 0)
 
 
 recorder.check_learner = wait

@@ -103,9 +103,9 @@ def test_every_run_saves_when_its_study_is_stopped_and_the_same_command_goes_on(
         pytest.importorskip("ray")
     place, study = untouched
     line = f"study run {place / 'long.yaml'} --jobs 2 --quiet --out {tmp_path / 'out'}"
-    paced = f"--plugin {PACED[0]} {line}{engine}"
-    process = start_command(paced, tmp_path / "stderr")
-    folders = wait_for_missions(process, tmp_path / "out", 2, 8)
+    slow = f"--plugin tests.experiments.slow {line}{engine}"
+    process = start_command(slow, tmp_path / "stderr")
+    folders = wait_for_missions(process, tmp_path / "out", 2, 7)
     to(process.pid, number)
     process.join(120)
     assert process.exitcode == code
@@ -114,7 +114,7 @@ def test_every_run_saves_when_its_study_is_stopped_and_the_same_command_goes_on(
         time.sleep(0.1)
     said = (tmp_path / "stderr").read_text()
     assert said.count("\n") == (code > 0), said  # of one that is killed, nobody is there to hear the runs
-    assert code < 0 or said.split("to go on: uavaou ")[1] == f"{paced}\n"
+    assert code < 0 or said.split("to go on: uavaou ")[1] == f"{slow}\n"
     metas = [json.loads((folder / "meta.json").read_text()) for folder in folders]
     assert all(0 < meta["slots"] < SLOTS for meta in metas)
     assert main(shlex.split(line)) == 0  # without the cluster and the pace
