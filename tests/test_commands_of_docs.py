@@ -14,10 +14,12 @@ import pytest
 from filelock import FileLock
 
 import uavaou.runs.train
+import uavaou.runs.validation
 from tests.documents import ROOT, blocks, console
 from uavaou import RunConfig
 from uavaou.algorithms import registry
 from uavaou.experiments.suite import Suite
+from uavaou.runs.validation import planner_score
 from uavaou.statistics import aggregates
 from uavaou_cli.main import main
 
@@ -82,11 +84,15 @@ def small(config: RunConfig) -> RunConfig:
 
 @pytest.fixture(scope="module")
 def trained(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
-    """The results of a training of ``paper``, once for all processes of the tests; from then on, every one is small."""
+    """The results of a training of ``paper``, once for all processes of the tests; from then on, every one is small.
+
+    So are the missions that planners are told beside it.
+    """
     own = tmp_path_factory.getbasetemp()
     place = (own.parent if "PYTEST_XDIST_WORKER" in os.environ else own) / "small-training"
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(uavaou.runs.train, "train", lambda config, *rest, **more: as_asked(small(config), *rest, **more))
+        patch.setattr(uavaou.runs.validation, "planner_score", lambda name, config: planner_score(name, small(config)))
         with FileLock(f"{place}.lock"):
             if not (place / "paper").exists():
                 assert main(["train", "paper", "--quiet", "--out", str(place)]) == 0
