@@ -1,4 +1,4 @@
-"""A plugin that lets a training wait after each update, from 4 of the tests' on: a short one is stopped in its middle."""
+"""A plugin that lets a training wait after each of its later updates: a short one can be stopped in its middle."""
 
 import time
 from typing import Any
