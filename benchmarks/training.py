@@ -33,6 +33,8 @@ WORK = {"missions": MISSIONS, "rollout_slots": 60, "batch_rows": 750, "epochs": 
 ROLLOUTS = 4  # of ours in one measurement, so that one slow moment hardly counts
 ALGORITHMS = ("mappo-paper", "vdn", "qmix")
 STOCK = "stock SB3 PPO on SuperSuit's stage"
+BUSY = "while True: pass"  # the program of a busy process
+PRODUCTS = 4000  # of a layer, in one measurement
 
 
 def training(repeats: int = 3, rollout_slots: int | None = None) -> list[Measurement]:
@@ -42,7 +44,7 @@ def training(repeats: int = 3, rollout_slots: int | None = None) -> list[Measure
     """
     sizes = ([128, 128], [256, 256])
     free = [measured for hidden in sizes for measured in _training(repeats, rollout_slots, hidden)]
-    busy = [subprocess.Popen([sys.executable, "-c", "while True: pass"]) for _ in range(available_threads())]
+    busy = [subprocess.Popen([sys.executable, "-c", BUSY]) for _ in range(available_threads())]
     try:
         loaded = [measured for hidden in sizes for measured in _loaded(repeats, rollout_slots, hidden)]
     finally:
@@ -65,11 +67,11 @@ def _loaded(repeats: int, rollout_slots: int | None, hidden: list[int]) -> list[
 
 def _cores(repeats: int) -> list[Measurement]:
     """The products of a layer in one thread, and in each of two at once: what a machine's cores share, nobody gains."""
-    rows, layer, products = th.randn(750, 128), Linear(128, 128), 4000
+    rows, layer = th.randn(750, 128), Linear(128, 128)
 
     @th.no_grad()
     def multiply() -> None:
-        for _ in range(products):
+        for _ in range(PRODUCTS):
             layer(rows)
 
     def by(number: int) -> Callable[[], None]:
@@ -81,7 +83,7 @@ def _cores(repeats: int) -> list[Measurement]:
         return work
 
     th.set_num_threads(1)
-    contestants = {f"{number} at once": (by(number), number * products) for number in (1, 2)}
+    contestants = {f"{number} at once": (by(number), number * PRODUCTS) for number in (1, 2)}
     table = "products of 750 x 128 x 128"
     return [replace(m, unit="products/s") for m in side_by_side(table, contestants, repeats)]
 

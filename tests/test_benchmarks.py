@@ -52,6 +52,8 @@ def test_scaling_gives_rates_and_exponents() -> None:
 def test_training_measures_every_contestant(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("benchmarks.training.MISSIONS", 4)
     monkeypatch.setitem(WORK, "missions", 4)
+    for name, less in (("ROLLOUTS", 1), ("PRODUCTS", 10), ("BUSY", "import time; time.sleep(600)")):
+        monkeypatch.setattr(f"benchmarks.training.{name}", less)
     names = [rate.name for rate in training(repeats=1, rollout_slots=2)]
     assert sum(name.startswith("stock") for name in names) == 2 * 2  # one and two processes, two sizes of network
     assert all(any(name.startswith(f"uavaou {algorithm}, 1 thread") for name in names) for algorithm in ALGORITHMS)
@@ -98,7 +100,8 @@ def test_the_report_gives_ratios_and_the_file_every_figure(tmp_path: Path) -> No
 
 
 @pytest.mark.slow
-def test_endurance_measures_memory_and_rate_on_the_way() -> None:
+def test_endurance_measures_memory_and_rate_on_the_way(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("uavaou.runs.pull_plan._BUDGET", 10**10)  # so that the search for a plan is short
     assert_measured(trained(3 * 4000, parts=3))  # an update each
 
 

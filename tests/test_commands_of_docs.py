@@ -1,6 +1,7 @@
 """The commands of the pages' code blocks run one after the other, trainings with a small budget; what a comment names
 is there afterwards."""
 
+import os
 import re
 import shlex
 import shutil
@@ -10,11 +11,16 @@ from glob import glob
 from pathlib import Path
 
 import pytest
+from filelock import FileLock
 
 import uavaou.runs.train
+import uavaou.runs.validation
 from tests.documents import ROOT, blocks, console
 from uavaou import RunConfig
 from uavaou.algorithms import registry
+from uavaou.experiments.suite import Suite
+from uavaou.runs.validation import planner_score
+from uavaou.statistics import aggregates
 from uavaou_cli.main import main
 
 pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("quick_plans")]
@@ -23,10 +29,11 @@ as_asked = uavaou.runs.train.train
 RUN = "results/paper/mappo/seed-0"
 LESS = {  # work than the page asks for
     "eval": ["--episodes", "2"],
-    "fly": ["--seconds", "3"],
+    "fly": ["--seconds", "1"],
     "rolling": ["--time-limit", "1"],
-    "route": ["--seconds", "3", "--episodes", "2"],
-    "size": ["--seconds", "2"],
+    "anneal": ["--time-limit", "1"],
+    "route": ["--seconds", "1", "--episodes", "2"],
+    "size": ["--seconds", "1"],
 }
 ELSEWHERE = {  # what takes longer, or needs more than a folder: the test that runs its like
     "uavaou tune": "tests/experiments",
@@ -65,6 +72,7 @@ def small(config: RunConfig) -> RunConfig:
         "epochs": 1,
         "evaluation_missions": 1,
         "learning_starts": 20,
+        "plan_slots": 10_000,
         "batch_slots": 8,
         "replay_slots": 100,
         "slots_per_update": 50,
@@ -76,18 +84,31 @@ def small(config: RunConfig) -> RunConfig:
 
 @pytest.fixture(scope="module")
 def trained(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
-    """The results of a training of ``paper``; from then on, every training is small."""
-    place = tmp_path_factory.mktemp("trained")
+    """The results of a training of ``paper``, once for all processes of the tests; from then on, every one is small.
+
+    So are the missions that planners are told beside it.
+    """
+    own = tmp_path_factory.getbasetemp()
+    place = (own.parent if "PYTEST_XDIST_WORKER" in os.environ else own) / "small-training"
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(uavaou.runs.train, "train", lambda config, *rest, **more: as_asked(small(config), *rest, **more))
-        assert main(["train", "paper", "--quiet", "--out", str(place)]) == 0
+        patch.setattr(uavaou.runs.validation, "planner_score", lambda name, config: planner_score(name, small(config)))
+        with FileLock(f"{place}.lock"):
+            if not (place / "paper").exists():
+                assert main(["train", "paper", "--quiet", "--out", str(place)]) == 0
         yield place
 
 
 @pytest.fixture
 def place(trained: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A folder with that training, committed results, and the files that the how-to pages tell the reader to save."""
+    """A folder with that training, committed results, and the files that the how-to pages tell the reader to save.
+
+    Suites have two points, and intervals few resamples.
+    """
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(aggregates, "RESAMPLES", 100)
+    load = Suite.load
+    monkeypatch.setattr(Suite, "load", lambda name: load(name).model_copy(update={"points": load(name).points[:2]}))
     sensors, devices = blocks(HOW_TO / "import.md", "csv")
     saved = {
         "sensors.csv": sensors,

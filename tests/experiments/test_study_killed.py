@@ -37,10 +37,12 @@ from uavaou_cli.main import main
 
 SMALL = (
     "missions: 8, rollout_slots: 20, batch_rows: 160, hidden: [16], evaluation_missions: 2, "
-    "evaluate_every_slots: 6000, plan_slots: 0"  # so that both begin at once
+    "evaluate_every_slots: 1600, plan_slots: 0"  # so that both begin at once
 )
+PACED = ["tests.experiments.paced"]
+SLOTS = 3200  # 20 updates
 LONG = f"""
-slots: 48000
+slots: {SLOTS}
 seeds: 1
 scenarios: [quickstart]
 variants:
@@ -73,7 +75,7 @@ def assert_the_same(one: Path, other: Path, study: Study) -> None:
 
 @pytest.fixture(scope="module")
 def untouched(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Study]:
-    """The long study, run without a stop, once for all processes of the tests."""
+    """The study, run without a stop, once for all processes of the tests."""
     own = tmp_path_factory.getbasetemp()
     place = (own.parent if "PYTEST_XDIST_WORKER" in os.environ else own) / "untouched-study"
     with FileLock(f"{place}.lock"):
@@ -101,8 +103,9 @@ def test_every_run_saves_when_its_study_is_stopped_and_the_same_command_goes_on(
         pytest.importorskip("ray")
     place, study = untouched
     line = f"study run {place / 'long.yaml'} --jobs 2 --quiet --out {tmp_path / 'out'}"
-    process = start_command(line + engine, tmp_path / "stderr")
-    folders = wait_for_missions(process, tmp_path / "out", 2, 20)
+    slow = f"--plugin tests.experiments.slow {line}{engine}"
+    process = start_command(slow, tmp_path / "stderr")
+    folders = wait_for_missions(process, tmp_path / "out", 2, 7)
     to(process.pid, number)
     process.join(120)
     assert process.exitcode == code
@@ -111,10 +114,10 @@ def test_every_run_saves_when_its_study_is_stopped_and_the_same_command_goes_on(
         time.sleep(0.1)
     said = (tmp_path / "stderr").read_text()
     assert said.count("\n") == (code > 0), said  # of one that is killed, nobody is there to hear the runs
-    assert code < 0 or said.split("to go on: uavaou ")[1] == f"{line}{engine}\n"
+    assert code < 0 or said.split("to go on: uavaou ")[1] == f"{slow}\n"
     metas = [json.loads((folder / "meta.json").read_text()) for folder in folders]
-    assert all(0 < meta["slots"] < 48_000 for meta in metas)
-    assert main(shlex.split(line)) == 0  # without the cluster
+    assert all(0 < meta["slots"] < SLOTS for meta in metas)
+    assert main(shlex.split(line)) == 0  # without the cluster and the pace
     assert_the_same(tmp_path / "out", place / "out", study)
     if number == signal.SIGTERM:
         again = [json.loads((folder / "meta.json").read_text()) for folder in folders]
@@ -126,7 +129,7 @@ def test_every_run_saves_when_its_study_is_stopped_and_the_same_command_goes_on(
 def test_a_job_finishes_silently_when_the_study_process_is_gone(
     what: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    (tmp_path / "long.yaml").write_text(LONG.replace("48000", "640").replace("[quickstart]", "[tiny]"))
+    (tmp_path / "long.yaml").write_text(LONG.replace(str(SLOTS), "640").replace("[quickstart]", "[tiny]"))
     _, config = next(iter(Study.load(tmp_path / "long.yaml").runs()))
     job = Training(config, tmp_path / "run", 2) if what == "a training" else Bound(config.scenario)
     context = multiprocessing.get_context("spawn")
@@ -216,7 +219,7 @@ class Killing(Executor):
     def _look(self, algorithm: str, report: TrainingReport) -> None:
         self.workers[algorithm].add(report.by)
         process = process_of(report.by)
-        if len(self.killed) < self._times and report.slots >= 3000 and process not in self.killed:
+        if len(self.killed) < self._times and report.slots >= SLOTS // 3 and process not in self.killed:
             os.kill(process, signal.SIGKILL)
             self.killed.append(process)
 
@@ -236,7 +239,7 @@ def test_a_killed_process_is_a_failure_that_the_same_command_repairs(
     untouched: tuple[Path, Study], tmp_path: Path
 ) -> None:
     place, study = untouched
-    executor = Killing(Processes(2), times=1)
+    executor = Killing(Processes(2, PACED), times=1)
     ended = run_study(study, tmp_path, executor, ignore, quiet=True, checkpoint_every_s=0.2)
     (reason,) = ended.failed.values()
     assert "ended by SIGKILL" in reason
@@ -288,7 +291,7 @@ def test_a_killed_worker_and_a_lost_node_of_a_cluster_are_replaced_and_their_run
     nodes = Nodes(initialize_head=True, head_node_args={"num_cpus": 1, "include_dashboard": False})
     try:
         second = nodes.add_node(num_cpus=1)
-        with Cluster(jobs=None, address=nodes.address) as cluster:
+        with Cluster(None, nodes.address, PACED) as cluster:
             executor = LosingNode(cluster, lambda: nodes.remove_node(second, allow_graceful=False))
             ended = run_study(study, tmp_path, executor, ignore, quiet=True, checkpoint_every_s=0.2)
     finally:
@@ -296,7 +299,7 @@ def test_a_killed_worker_and_a_lost_node_of_a_cluster_are_replaced_and_their_run
     assert ended.failed == {}
     assert ended.done == 3
     assert len(executor.killed) == 1
-    assert all(slots < 48_000 for slots in executor.lost_at.values())
+    assert all(slots < SLOTS for slots in executor.lost_at.values())
     # Two trainings were handed over: that of the killed worker, and that of the lost node, maybe to a worker in use.
     assert sum(len(workers) - 1 for workers in executor.workers.values()) >= 2
     assert_the_same(tmp_path, place / "out", study)

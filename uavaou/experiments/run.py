@@ -229,8 +229,8 @@ class _Work:
             self.state.running.pop(key, None)
         try:
             kept = self._results.table.of_jobs(job.digests.values(), kept=False)
-            table = Flights.joined([kept, _named(future.result(), self._study, self._names)])
-            self._results = replace(self._results, table=table)
+            own = _named(future.result(), self._study, self._names)
+            self._results = replace(self._results, table=Flights.joined([kept, own]))
             if isinstance(job, Training) or time.monotonic() > self._write_from:
                 self.write()
             if isinstance(job, Training):
