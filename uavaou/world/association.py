@@ -73,13 +73,13 @@ _estimated_age = compiled(age_by_estimate)  # here, where a compiled function ca
 
 
 @compiled
-def _keep(offered: Bools, limit: int, first: Floats, second: Floats, kept: Bools) -> None:
-    """Write what a UAV keeps of more devices than it can serve, (I,)."""
+def _keep(offered: Ints, limit: int, first: Floats, second: Floats, kept: Bools) -> None:
+    """Write what a UAV keeps, (I,), of the devices with these numbers, which are more than it can serve."""
     kept[:] = False
     for _ in range(limit):
         best = -1
-        for i in range(len(offered)):
-            if not offered[i] or kept[i]:
+        for i in offered:
+            if kept[i]:
                 continue
             ahead = best < 0 or first[i] > first[best]
             tie = best >= 0 and first[i] == first[best]
@@ -93,8 +93,9 @@ def _keep_first(offered: Bools, limit: int, first: Floats, second: Floats, kept:
     kept[:] = offered
     for n in range(offered.shape[0]):
         for u in range(offered.shape[1]):
-            if np.count_nonzero(offered[n, u]) > limit:
-                _keep(offered[n, u], limit, first[n, u], second[n, u], kept[n, u])
+            numbers = np.flatnonzero(offered[n, u])
+            if len(numbers) > limit:
+                _keep(numbers, limit, first[n, u], second[n, u], kept[n, u])
 
 
 @compiled
@@ -104,16 +105,20 @@ def _keep_oldest(
     missions, uavs, devices = offered.shape
     kept[:] = offered
     age, rates = np.empty(devices), np.empty(devices)  # slots and bit/s of the devices that a UAV is offered
+    numbers = np.empty(devices, dtype=np.int64)  # of those
     for n in range(missions):
         layout = min(n, len(period) - 1)
         for u in range(uavs):
-            if np.count_nonzero(offered[n, u]) <= limit:
-                continue
+            count = 0
             for i in range(devices):
-                if offered[n, u, i]:
-                    age[i] = _estimated_age(slot, known[n, u, i], period[layout, i])
-                    rates[i] = bandwidth[layout, i] * np.log2(1.0 + snr[n, u, i])
-            _keep(offered[n, u], limit, age, rates, kept[n, u])
+                numbers[count] = i
+                count += offered[n, u, i]
+            if count <= limit:
+                continue
+            for i in numbers[:count]:
+                age[i] = _estimated_age(slot, known[n, u, i], period[layout, i])
+                rates[i] = bandwidth[layout, i] * np.log2(1.0 + snr[n, u, i])
+            _keep(numbers[:count], limit, age, rates, kept[n, u])
 
 
 @compiled

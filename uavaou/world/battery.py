@@ -16,7 +16,7 @@ import numpy as np
 
 from uavaou.arrays import Bools, Floats, Ints
 from uavaou.errors import InputError
-from uavaou.mission_fields import FULL
+from uavaou.mission_fields import FULL, RotaryWing, charge, rotary_wing_w
 from uavaou.scenario import Scenario
 from uavaou.world.compiled import compiled
 from uavaou.world.flight import (
@@ -93,8 +93,11 @@ class Batteries:
         self.sorties: Ints = np.ones(self._shape, dtype=np.int64)
 
     def cost(self, air_speed: Floats) -> Ints:
-        """Return the charge of a slot at each air speed, elementwise."""
-        return energies(self._scenario, air_speed)
+        """Return the charge of a slot at each air speed, (N, 5), or (1, 5) where it is the same at all."""
+        energy = self._scenario.energy
+        if not isinstance(energy, RotaryWing):
+            return self.calm
+        return _charge(_power_w(air_speed, *energy.rotor) * self._scenario.slot_length_s, energy.battery_j)
 
     def allowed(self, cells: Ints, slot: int, cost: Ints) -> tuple[Bools, Bools, Ints]:
         """Return which moves are allowed and which stay on the grid, (N, U, 5) each, and a safe move, (N, U).
@@ -211,6 +214,9 @@ class Batteries:
         """Go on from a :meth:`state`."""
         for name in ("charge", "down", "sortie", "sorties"):
             setattr(self, name, state[name].copy())
+
+
+_charge, _power_w = compiled(charge), compiled(rotary_wing_w)  # for each slot
 
 
 @compiled
