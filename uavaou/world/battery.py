@@ -97,7 +97,8 @@ class Batteries:
         energy = self._scenario.energy
         if not isinstance(energy, RotaryWing):
             return self.calm
-        return _charge(_power_w(air_speed, *energy.rotor) * self._scenario.slot_length_s, energy.battery_j)
+        energy_j = _power_w(air_speed, *energy.rotor) * self._scenario.slot_length_s  # (N, 5)
+        return np.asarray(_charge(energy_j, energy.battery_j))
 
     def allowed(self, cells: Ints, slot: int, cost: Ints) -> tuple[Bools, Bools, Ints]:
         """Return which moves are allowed and which stay on the grid, (N, U, 5) each, and a safe move, (N, U).
