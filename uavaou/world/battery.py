@@ -226,7 +226,7 @@ def _can_go_on(
     onward: Ints,
 ) -> bool:  # fmt: skip
     """Whether a UAV with a charge beyond the reserve reaches its CDS in the moves left, at once or over stations."""
-    legs = min(charge // leg, budget[u] - sortie)  # that it can fly before the next swap
+    legs = min(int(charge / leg), budget[u] - sortie)  # before the next swap; exact, as charges have few digits
     if charge < 0 or legs < 0:
         return False
     if home[u, cell] <= min(left, legs):

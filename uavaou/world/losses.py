@@ -87,6 +87,15 @@ class _Listed:
 
 
 @compiled
+def quiet(absent: Bools, silent: Bools, snr: Floats) -> None:
+    """Set SNRs (N, U, I) to 0, those of UAVs that are absent, (N, U), and of silent devices, (I,)."""
+    for n in range(snr.shape[0]):
+        for u in range(snr.shape[1]):
+            for i in range(snr.shape[2]):
+                snr[n, u, i] = 0.0 if absent[n, u] or silent[i] else snr[n, u, i]
+
+
+@compiled
 def _fail(
     drawn: Floats, probability: float, listed: Bools, last: bool, cells: Ints, cds: Ints, before: Bools, lost: Bools,
     failed: Bools, allowed: Bools, on_grid: Bools,

@@ -17,7 +17,7 @@ from uavaou.world.battery import Batteries
 from uavaou.world.channel import Channel, rate
 from uavaou.world.flight import STEP_OF_MOVE, Flight
 from uavaou.world.links import Knowledge
-from uavaou.world.losses import Losses
+from uavaou.world.losses import Losses, quiet
 from uavaou.world.measures import AgeOfInformation
 from uavaou.world.wind import Weather
 
@@ -29,7 +29,7 @@ class Operations:
 
     def __init__(self, scenario: Scenario, missions: int, flight: Flight, channel: Channel) -> None:
         self._scenario, self._flight, self._channel = scenario, flight, channel
-        self._shape = missions, scenario.uavs
+        self._shape, self._all_heard = (missions, scenario.uavs), np.zeros(scenario.devices, dtype=np.bool_)
         losing = scenario.failures or scenario.failure_probability_per_slot or scenario.devices_silent
         measuring = scenario.age_limit_s or scenario.device_weights or scenario.objective
         self.losses = Losses(scenario, missions) if losing else None
@@ -110,10 +110,9 @@ class Operations:
             allowed, on_grid, self._safe = self.batteries.allowed(cells, slot, self._cost)
         if self.losses is not None:
             self.failed = self.losses.open(slot, cells, self.failed, allowed, on_grid)
-            if (silent := self.losses.silent(slot)) is not None and silent.any():
-                snr[:, :, silent] = 0.0
         if self.losses is not None or self.batteries is not None:
-            snr[self.absent] = 0.0
+            silent = None if self.losses is None else self.losses.silent(slot)
+            quiet(self.absent, self._all_heard if silent is None else silent, snr)
         if self.knowledge is not None:
             self.knowledge.open(slot, cells, self.failed, None if self.batteries is None else self.batteries.down)
         return allowed, on_grid
