@@ -24,10 +24,23 @@ _FASTEST_M_S = 1e4  # a power that no battery has
 _BLADE_SHARE = 79.86 / _HOVER_W  # of it; the rest is induced
 
 
-def _charge(share: Floats) -> Ints:
-    """Shares of a battery in parts of ``FULL``, rounded down: an endurance of whole slots is one of so many."""
+def charge(used: Any, of: float) -> Any:
+    """What is used of a battery that has so much, in parts of ``FULL``, elementwise.
+
+    It is rounded down: an endurance of whole slots is one of so many.
+    """
     most = 2.0  # batteries: too much anyway
-    return np.asarray(np.maximum(np.floor(FULL * np.minimum(share, most)), 1), dtype=np.int64)
+    return np.maximum(np.floor(FULL * np.minimum(used / of, most)), 1).astype(np.int64)
+
+
+def rotary_wing_w(air_speed_m_s: Any, hover_w: float, tip_m_s: float, induced_m_s: float, parasite: float) -> Any:
+    """The power of :class:`RotaryWing` at air speeds, elementwise, from its fields."""
+    speed = np.minimum(air_speed_m_s, _FASTEST_M_S)
+    square = speed * speed
+    half = square / (2 * (induced_m_s * induced_m_s))
+    blades = _BLADE_SHARE * (1 + 3 * square / (tip_m_s * tip_m_s))
+    induced = (1 - _BLADE_SHARE) * np.sqrt(np.sqrt(1 + half * half) - half)
+    return hover_w * (blades + induced) + parasite * (square * speed)
 
 
 class Endurance(StrictMapping):
@@ -39,7 +52,7 @@ class Endurance(StrictMapping):
 
     def slot_energy(self, air_speed_m_s: Floats, slot_length_s: float) -> Ints:
         """The charge that a slot in the air costs, of ``FULL``, elementwise."""
-        return _charge(np.full_like(air_speed_m_s, slot_length_s / self.endurance_s))
+        return np.asarray(charge(np.full_like(air_speed_m_s, slot_length_s), self.endurance_s))
 
 
 class RotaryWing(StrictMapping):
@@ -55,18 +68,23 @@ class RotaryWing(StrictMapping):
     parasite_w_per_m3_s3: NonNegative = 0.00924  # d0 rho s A / 2, in W / (m/s)^3
     reserve: Annotated[Fraction, Field(lt=1)] = 0.1  # share of a full battery that stays in it
 
+    @property
+    def rotor(self) -> tuple[float, float, float, float]:
+        """What :func:`rotary_wing_w` asks for beside the air speed."""
+        return self.hover_w, self.tip_speed_m_s, self.induced_velocity_m_s, self.parasite_w_per_m3_s3
+
+    @property
+    def battery_j(self) -> float:
+        """J of a full battery."""
+        return 3600 * self.battery_wh
+
     def power_w(self, air_speed_m_s: Floats) -> Floats:
         """The power in flight at air speeds, elementwise."""
-        air_speed_m_s = np.minimum(air_speed_m_s, _FASTEST_M_S)
-        square = air_speed_m_s**2
-        half = square / (2 * self.induced_velocity_m_s**2)
-        blades = _BLADE_SHARE * (1 + 3 * square / self.tip_speed_m_s**2)
-        induced = (1 - _BLADE_SHARE) * np.sqrt(np.sqrt(1 + half**2) - half)
-        return np.asarray(self.hover_w * (blades + induced) + self.parasite_w_per_m3_s3 * (square * air_speed_m_s))
+        return np.asarray(rotary_wing_w(air_speed_m_s, *self.rotor))
 
     def slot_energy(self, air_speed_m_s: Floats, slot_length_s: float) -> Ints:
         """The charge that a slot in the air costs, of ``FULL``, elementwise."""
-        return _charge(self.power_w(air_speed_m_s) * slot_length_s / (3600 * self.battery_wh))
+        return np.asarray(charge(self.power_w(air_speed_m_s) * slot_length_s, self.battery_j))
 
 
 def _model_named(value: Any) -> Any:

@@ -186,6 +186,13 @@ class LiteralOperations(LiteralMission):
             for station in {*self.stations}
         )
 
+    def spare(self, u: int) -> float:
+        """Moves beside the way to the nearest station that battery, flight time and slot K leave."""
+        cell, left = self.cells[u], self.scenario.slots - self.slot
+        legs = min((self.charge[u] - FULL + self.most()) // self.costliest(), self.steps(u) - self.sortie[u])
+        nearest = min(self.way(cell, station) for station in self.stations)
+        return max(min(legs - nearest, left - self.way(cell, self.home[u])), 0)
+
     def may_fly(self, u: int, move: int) -> bool:
         """Whether a move is allowed to a UAV that is neither failed nor down, before slot K."""
         left, cell = self.scenario.slots - self.slot, self.target(u, move)

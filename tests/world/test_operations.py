@@ -31,6 +31,8 @@ def assert_same_slot(world: World, mission: LiteralOperations, lane: int) -> Non
     if operations.batteries is not None:
         for name in ("charge", "down", "sortie", "sorties"):
             assert getattr(operations.batteries, name)[lane].tolist() == getattr(mission, name), name
+        spare = operations.spare(world.cells, world.flown, world.slot)
+        assert spare[lane].tolist() == [mission.spare(u) for u in range(scenario.uavs)]
     if operations.weather is not None:
         np.testing.assert_allclose(operations.weather.wind[lane], mission.wind, rtol=1e-9, atol=1e-9)
     if (knowledge := operations.knowledge) is not None:

@@ -19,7 +19,7 @@ class Association:
     rejected_capacity: Ints  # (N,), selections beyond uplinks_per_slot
 
 
-def associate(in_range: Bools, snr: Floats, selected: Bools | None) -> Association:
+def associate(in_range: Bools, snr: Floats, selected: Bools | None, kept: Bools | None = None) -> Association:
     """Assign each device to the candidate with the largest rate; a tie goes to the lowest u.
 
     The bandwidth of a device is the same towards every UAV, so the largest SNR gives the largest rate.
@@ -28,13 +28,14 @@ def associate(in_range: Bools, snr: Floats, selected: Bools | None) -> Associati
         in_range: R_iu >= R_min, (N, U, I).
         snr: Gamma_iu, (N, U, I); read only in range.
         selected: the devices that each UAV selected, (N, U, I); None selects every device in range.
+        kept: those that it can serve of the selected ones in range, (N, U, I); None for all.
     """
     missions, _, devices = in_range.shape
-    collected_by = np.full((missions, devices), -1, dtype=np.int64)  # (N, I)
-    rejected_rate, rejected_association = np.zeros((2, missions), dtype=np.int64)  # (N,) each
-    candidates = in_range if selected is None else selected
-    _associate(in_range, snr, candidates, collected_by, rejected_rate, rejected_association)
-    return Association(collected_by, rejected_rate, rejected_association, np.zeros(missions, dtype=np.int64))
+    collected_by = np.empty((missions, devices), dtype=np.int64)  # (N, I)
+    rejected = np.empty((3, missions), dtype=np.int64)  # by the rate, the association and the capacity
+    asked = in_range if selected is None else selected
+    _associate(in_range, snr, asked, asked if kept is None else kept, collected_by, rejected)
+    return Association(collected_by, *rejected)
 
 
 def within_capacity(offered: Bools, limit: int, first: Floats, second: Floats) -> Bools:
@@ -46,8 +47,8 @@ def within_capacity(offered: Bools, limit: int, first: Floats, second: Floats) -
         first: what decides, the larger comes first, (N, U, I).
         second: what decides between equal ones; between equals in both, the lowest i comes first.
     """
-    kept = np.zeros_like(offered)
-    _keep(offered, limit, first, second, kept)
+    kept = np.empty(offered.shape, dtype=np.bool_)  # (N, U, I)
+    _keep_first(offered, limit, first, second, kept)
     return kept
 
 
@@ -63,64 +64,80 @@ def oldest_within_capacity(
         period, bandwidth: of the devices, (L, I) slots and Hz.
         snr: Gamma_iu, (N, U, I).
     """
-    age, rates = np.zeros((2, *offered.shape))  # (N, U, I) slots, bit/s; of devices that are offered alone
-    _weigh(offered, slot, known, period, snr, bandwidth, age, rates)
-    return within_capacity(offered, limit, age, rates)
+    kept = np.empty(offered.shape, dtype=np.bool_)  # (N, U, I)
+    _keep_oldest(offered, limit, slot, known, period, snr, bandwidth, kept)
+    return kept
 
 
 _estimated_age = compiled(age_by_estimate)  # here, where a compiled function calls it
 
 
 @compiled
-def _weigh(
-    offered: Bools, slot: int, known: Ints, period: Ints, snr: Floats, bandwidth: Floats, age: Floats, rates: Floats
+def _keep(offered: Ints, limit: int, first: Floats, second: Floats, kept: Bools) -> None:
+    """Write what a UAV keeps, (I,), of the devices with these numbers, which are more than it can serve."""
+    kept[:] = False
+    for _ in range(limit):
+        best = -1
+        for i in offered:
+            if kept[i]:
+                continue
+            ahead = best < 0 or first[i] > first[best]
+            tie = best >= 0 and first[i] == first[best]
+            if ahead or (tie and second[i] > second[best]):
+                best = i
+        kept[best] = True
+
+
+@compiled
+def _keep_first(offered: Bools, limit: int, first: Floats, second: Floats, kept: Bools) -> None:
+    kept[:] = offered
+    for n in range(offered.shape[0]):
+        for u in range(offered.shape[1]):
+            numbers = np.flatnonzero(offered[n, u])
+            if len(numbers) > limit:
+                _keep(numbers, limit, first[n, u], second[n, u], kept[n, u])
+
+
+@compiled
+def _keep_oldest(
+    offered: Bools, limit: int, slot: int, known: Ints, period: Ints, snr: Floats, bandwidth: Floats, kept: Bools
 ) -> None:
     missions, uavs, devices = offered.shape
+    kept[:] = offered
+    age, rates = np.empty(devices), np.empty(devices)  # slots and bit/s of the devices that a UAV is offered
+    numbers = np.empty(devices, dtype=np.int64)  # of those
     for n in range(missions):
         layout = min(n, len(period) - 1)
         for u in range(uavs):
+            count = 0
             for i in range(devices):
-                if offered[n, u, i]:
-                    age[n, u, i] = _estimated_age(slot, known[n, u, i], period[layout, i])
-                    rates[n, u, i] = bandwidth[layout, i] * np.log2(1.0 + snr[n, u, i])
+                numbers[count] = i
+                count += offered[n, u, i]
+            if count <= limit:
+                continue
+            for i in numbers[:count]:
+                age[i] = _estimated_age(slot, known[n, u, i], period[layout, i])
+                rates[i] = bandwidth[layout, i] * np.log2(1.0 + snr[n, u, i])
+            _keep(numbers[:count], limit, age, rates, kept[n, u])
 
 
 @compiled
-def _keep(offered: Bools, limit: int, first: Floats, second: Floats, kept: Bools) -> None:
-    missions, uavs, devices = offered.shape
-    for n in range(missions):
-        for u in range(uavs):
-            for _ in range(limit):
-                best = -1
-                for i in range(devices):
-                    if not offered[n, u, i] or kept[n, u, i]:
-                        continue
-                    ahead = best < 0 or first[n, u, i] > first[n, u, best]
-                    tie = best >= 0 and first[n, u, i] == first[n, u, best]
-                    if ahead or (tie and second[n, u, i] > second[n, u, best]):
-                        best = i
-                if best < 0:
-                    break
-                kept[n, u, best] = True
-
-
-@compiled
-def _associate(
-    in_range: Bools, snr: Floats, asked: Bools, collected_by: Ints, rejected_rate: Ints, rejected_association: Ints
-) -> None:
+def _associate(in_range: Bools, snr: Floats, asked: Bools, kept: Bools, collected_by: Ints, rejected: Ints) -> None:
     missions, uavs, devices = in_range.shape
     best = np.empty(devices)
     for n in range(missions):
-        best[:] = -1.0  # SNRs are never negative
-        offered = 0
+        best[:], collected_by[n] = -1.0, -1  # SNRs are never negative
+        out_of_range, candidates, beyond = 0, 0, 0
         for u in range(uavs):
             for i in range(devices):
-                candidate = asked[n, u, i] and in_range[n, u, i]
-                offered += candidate
-                rejected_rate[n] += asked[n, u, i] and not candidate
+                offered = asked[n, u, i] and in_range[n, u, i]
+                candidate = offered and kept[n, u, i]
+                out_of_range += asked[n, u, i] and not offered
+                candidates += candidate
+                beyond += offered and not candidate
                 wins = candidate and snr[n, u, i] > best[i]  # strictly: the lower u keeps a tie
                 best[i] = snr[n, u, i] if wins else best[i]
                 collected_by[n, i] = u if wins else collected_by[n, i]
-        rejected_association[n] = offered
         for i in range(devices):
-            rejected_association[n] -= collected_by[n, i] >= 0
+            candidates -= collected_by[n, i] >= 0
+        rejected[0, n], rejected[1, n], rejected[2, n] = out_of_range, candidates, beyond

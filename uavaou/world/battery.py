@@ -16,7 +16,7 @@ import numpy as np
 
 from uavaou.arrays import Bools, Floats, Ints
 from uavaou.errors import InputError
-from uavaou.mission_fields import FULL
+from uavaou.mission_fields import FULL, RotaryWing, charge, rotary_wing_w
 from uavaou.scenario import Scenario
 from uavaou.world.compiled import compiled
 from uavaou.world.flight import (
@@ -49,6 +49,7 @@ class Batteries:
         assert scenario.energy is not None
         self._shape, self._flight = (missions, scenario.uavs), flight
         self._slots, self._rows, self._swap = scenario.slots, scenario.rows, scenario.swap_slots
+        self._last_cell: Ints = np.array([scenario.columns - 1, scenario.rows - 1])  # (2,)
         worst = largest_energies(scenario)  # (5,)
         steady = flyable(scenario, largest_air_speeds(scenario))  # (5,)
         self._leg = int(worst[steady].max())
@@ -92,8 +93,12 @@ class Batteries:
         self.sorties: Ints = np.ones(self._shape, dtype=np.int64)
 
     def cost(self, air_speed: Floats) -> Ints:
-        """Return the charge of a slot at each air speed, elementwise."""
-        return energies(self._scenario, air_speed)
+        """Return the charge of a slot at each air speed, (N, 5), or (1, 5) where it is the same at all."""
+        energy = self._scenario.energy
+        if not isinstance(energy, RotaryWing):
+            return self.calm
+        energy_j = _power_w(air_speed, *energy.rotor) * self._scenario.slot_length_s  # (N, 5)
+        return np.asarray(_charge(energy_j, energy.battery_j))
 
     def allowed(self, cells: Ints, slot: int, cost: Ints) -> tuple[Bools, Bools, Ints]:
         """Return which moves are allowed and which stay on the grid, (N, U, 5) each, and a safe move, (N, U).
@@ -105,19 +110,18 @@ class Batteries:
         """
         allowed, on_grid = np.zeros((2, *self._shape, len(STEP_OF_MOVE)), dtype=np.bool_)
         safe: Ints = np.zeros(self._shape, dtype=np.int64)
-        last: Ints = np.array([self._scenario.columns - 1, self._scenario.rows - 1])
         _allowed(
-            cells, last, self.charge, self.down, self.sortie, self._slots - slot, cost, self._leg, self.reserve,
-            self._swap, self._flight.budget, self._open, self._target, self._way, self._flight.home, self._onward,
-            self._stations, self._flight.step_home, allowed, on_grid, safe,
+            cells, self._last_cell, self.charge, self.down, self.sortie, self._slots - slot, cost, self._leg,
+            self.reserve, self._swap, self._flight.budget, self._open, self._target, self._way, self._flight.home,
+            self._onward, self._stations, self._flight.step_home, allowed, on_grid, safe,
         )  # fmt: skip
         return allowed, on_grid, safe
 
     def fly(self, cells: Ints, made: Ints, cost: Ints, failed: Bools) -> None:
         """Charge the moves (N, U) made from ``cells`` (N, U, 2) for a slot, or swap; failed UAVs are switched off."""
         _fly(
-            cells @ np.array([self._rows, 1]), made, cost, failed, self._stations, self._swap, self.charge, self.down,
-            self.sortie, self.sorties,
+            cells, self._rows, made, cost, failed, self._stations, self._swap, self.charge, self.down, self.sortie,
+            self.sorties,
         )  # fmt: skip
 
     def at_station(self, cells: Ints) -> Bools:
@@ -185,7 +189,7 @@ class Batteries:
         """Return the moves that each UAV can make beside its way to the nearest station, (N, U)."""
         spare: Ints = np.empty(self._shape, dtype=np.int64)
         _spare(
-            cells @ np.array([self._rows, 1]), self.charge - self.reserve, self.sortie, self._slots - slot, self._leg,
+            cells, self._rows, self.charge, self.reserve, self.sortie, self._slots - slot, self._leg,
             self._flight.budget, self._way, self._flight.home, spare,
         )  # fmt: skip
         return spare
@@ -213,13 +217,16 @@ class Batteries:
             setattr(self, name, state[name].copy())
 
 
+_charge, _power_w = compiled(charge), compiled(rotary_wing_w)  # for each slot
+
+
 @compiled
 def _can_go_on(
     u: int, cell: int, charge: int, sortie: int, left: int, leg: int, swap: int, budget: Ints, way: Ints, home: Ints,
     onward: Ints,
 ) -> bool:  # fmt: skip
     """Whether a UAV with a charge beyond the reserve reaches its CDS in the moves left, at once or over stations."""
-    legs = min(charge // leg, budget[u] - sortie)  # that it can fly before the next swap
+    legs = min(int(charge / leg), budget[u] - sortie)  # before the next swap; exact, as charges have few digits
     if charge < 0 or legs < 0:
         return False
     if home[u, cell] <= min(left, legs):
@@ -284,25 +291,26 @@ def _allowed(
 
 @compiled
 def _spare(
-    here: Ints, charge: Ints, sortie: Ints, left: int, leg: int, budget: Ints, way: Ints, home: Ints, spare: Ints
-) -> None:
-    for n in range(here.shape[0]):
-        for u in range(here.shape[1]):
-            cell, nearest = here[n, u], UNLIMITED
+    cells: Ints, rows: int, charge: Ints, reserve: int, sortie: Ints, left: int, leg: int, budget: Ints, way: Ints,
+    home: Ints, spare: Ints,
+) -> None:  # fmt: skip
+    for n in range(cells.shape[0]):
+        for u in range(cells.shape[1]):
+            cell, nearest = cells[n, u, 0] * rows + cells[n, u, 1], UNLIMITED
             for s in range(way.shape[2]):
                 nearest = min(nearest, way[min(u, len(way) - 1), cell, s])
-            moves = min(charge[n, u] // leg, budget[u] - sortie[n, u])
+            moves = min((charge[n, u] - reserve) // leg, budget[u] - sortie[n, u])
             spare[n, u] = max(min(moves - nearest, left - home[u, cell]), 0)
 
 
 @compiled
 def _fly(
-    here: Ints, made: Ints, cost: Ints, failed: Bools, stations: Ints, swap: int, charge: Ints, down: Ints,
-    sortie: Ints, sorties: Ints,
+    cells: Ints, rows: int, made: Ints, cost: Ints, failed: Bools, stations: Ints, swap: int, charge: Ints,
+    down: Ints, sortie: Ints, sorties: Ints,
 ) -> None:  # fmt: skip
-    for n in range(here.shape[0]):
+    for n in range(cells.shape[0]):
         price = cost[min(n, len(cost) - 1)]
-        for u in range(here.shape[1]):
+        for u in range(cells.shape[1]):
             if failed[n, u]:
                 continue
             swaps = False
@@ -310,9 +318,9 @@ def _fly(
                 down[n, u] -= 1
                 swaps = down[n, u] == 0
             else:
-                at_station = False
+                here, at_station = cells[n, u, 0] * rows + cells[n, u, 1], False
                 for s in range(len(stations)):
-                    at_station = at_station or stations[s] == here[n, u]
+                    at_station = at_station or stations[s] == here
                 if made[n, u] == 0 and at_station and charge[n, u] < FULL:
                     down[n, u] = swap
                     swaps = swap == 0

@@ -97,10 +97,10 @@ class Flight:
     def resolve(self, moves: Ints, cells: Ints, allowed: Bools, on_grid: Bools, safe: Ints | None = None) -> Ints:
         """Return the moves made, (N, U), for the requested ones: off the grid gives a stay, not allowed a step home.
 
-        ``safe`` takes the place of the step home.
+        ``safe`` takes the place of the step home, and is overwritten.
         """
         if safe is not None:
-            made = safe.copy()
+            made = safe
         elif self._legs is None:
             made = np.empty(moves.shape, dtype=np.int64)  # (N, U)
             _step_home(cells, self.cds, made)

@@ -7,6 +7,7 @@ collection by anybody. Messages pass on what was heard, a link a slot.
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
@@ -33,7 +34,11 @@ class Knowledge:
         assert scenario.links is not None
         self._links: Links = scenario.links
         self._cds, self._shape = cds, (missions, scenario.uavs)
+        links = scenario.links
+        # The probabilities with which a bad link turns good, and a good one bad.
+        self._turns = 1 / (links.bad_slots or math.inf), 1 / (links.good_slots or math.inf)
         self._step, self._altitudes = scenario.grid_step_m, scenario.altitudes
+        self._range_m = math.inf if links.range_m is None else links.range_m
         self._devices = scenario.devices
         self._silence = scenario.silence_slots or SILENCE_SLOTS
         self._itself = np.arange(scenario.uavs)
@@ -71,33 +76,21 @@ class Knowledge:
         self._slot = slot
         _measure(slot, cells, failed, self._up if down is None else down, *self._known()[:3])
         if not self.passes_nothing:
-            passes, before = self._passing(slot, cells), [known.copy() for known in self._known()]
-            _pass_on(passes, failed, before[0], before[1], before[2], before[3], *self._known())
+            _pass_on(self._passing(slot, cells), failed, *self._known())
 
     def _known(self) -> tuple[Ints, Ints, Ints, Ints]:
         return self.heard, self.cells, self.until, self.collected
 
     def _passing(self, slot: int, cells: Ints) -> Bools:
         """Which messages pass, (N, to, from)."""
-        links = self._links
-        passes = np.ones_like(self._good)
-        if links.good_slots is not None or 0.0 < links.probability < 1.0:
-            drawn = self._drawn(slot)  # (N, U, U, 2)
-            if links.good_slots is not None and links.bad_slots is not None:
-                turns = drawn[..., 0] <= np.where(self._good, 1 / links.good_slots, 1 / links.bad_slots)
-                self._good ^= turns
-                passes &= self._good
-            if links.probability < 1.0:
-                passes &= drawn[..., 1] <= links.probability
-        if links.range_m is not None:
-            apart = (cells[:, :, None] - cells[:, None, :]) * self._step  # (N, U, U, 2) m
-            height = self._altitudes[:, None] - self._altitudes  # (U, U) m
-            passes &= (apart**2).sum(axis=-1) + height**2 <= links.range_m**2
+        passes = np.empty(self._good.shape, dtype=np.bool_)
+        law = self._turns, self._links.probability, self._range_m
+        _passing(self._drawn(slot), *law, cells, self._step, self._altitudes, self._good, passes)
         return passes
 
     def note(self, slot: int, known: Bools) -> None:
         """Keep the collections of a slot that UAVs know of by themselves, (N, U, I)."""
-        self.collected[known] = slot
+        _note(slot, known, self.collected)
 
     def lost(self, slot: int) -> Bools:
         """Return which others each UAV takes as lost, (N, U, U): those without news for too long. Without any links
@@ -145,21 +138,47 @@ def _measure(slot: int, cells: Ints, failed: Bools, down: Ints, heard: Ints, kno
 
 
 @compiled
-def _pass_on(
-    passes: Bools, failed: Bools, heard: Ints, cells: Ints, until: Ints, collected: Ints, new_heard: Ints,
-    new_cells: Ints, new_until: Ints, new_collected: Ints,
+def _passing(
+    drawn: Floats, turns: tuple[float, float], probability: float, range_m: float, cells: Ints, step: float,
+    altitudes: Floats, good: Bools, passes: Bools,
 ) -> None:  # fmt: skip
-    missions, uavs, devices = collected.shape
+    """Write which messages pass, (N, to, from), and turn links that are ``good`` in bursts."""
+    missions, uavs = cells.shape[:2]
     for n in range(missions):
+        for u in range(uavs):
+            for v in range(uavs):
+                turn = turns[1] if good[n, u, v] else turns[0]
+                good[n, u, v] ^= drawn[n, u, v, 0] <= turn
+                x, y = (cells[n, u, 0] - cells[n, v, 0]) * step, (cells[n, u, 1] - cells[n, v, 1]) * step
+                height = altitudes[u] - altitudes[v]
+                near = x * x + y * y + height * height <= range_m * range_m
+                passes[n, u, v] = near and good[n, u, v] and drawn[n, u, v, 1] <= probability
+
+
+@compiled
+def _pass_on(passes: Bools, failed: Bools, heard: Ints, cells: Ints, until: Ints, collected: Ints) -> None:
+    """Tell what each sender knew before this slot's messages; ``until`` and the rest, (N, U, ...), are changed."""
+    missions, uavs, devices = collected.shape
+    # What the UAVs of a mission knew before.
+    old_heard, old_cells, old_until = np.empty_like(heard[0]), np.empty_like(cells[0]), np.empty_like(until[0])
+    old_collected = np.empty_like(collected[0])
+    for n in range(missions):
+        old_heard[:], old_cells[:], old_until[:], old_collected[:] = heard[n], cells[n], until[n], collected[n]
         for u in range(uavs):
             for v in range(uavs):
                 if u == v or not passes[n, u, v] or failed[n, u] or failed[n, v]:
                     continue
                 for w in range(uavs):
-                    if heard[n, v, w] > new_heard[n, u, w]:
-                        new_heard[n, u, w] = heard[n, v, w]
-                        new_cells[n, u, w, 0] = cells[n, v, w, 0]
-                        new_cells[n, u, w, 1] = cells[n, v, w, 1]
-                        new_until[n, u, w] = until[n, v, w]
+                    if old_heard[v, w] > heard[n, u, w]:
+                        heard[n, u, w], until[n, u, w] = old_heard[v, w], old_until[v, w]
+                        cells[n, u, w, 0], cells[n, u, w, 1] = old_cells[v, w, 0], old_cells[v, w, 1]
                 for i in range(devices):
-                    new_collected[n, u, i] = max(new_collected[n, u, i], collected[n, v, i])
+                    collected[n, u, i] = max(collected[n, u, i], old_collected[v, i])
+
+
+@compiled
+def _note(slot: int, known: Bools, collected: Ints) -> None:
+    for n in range(known.shape[0]):
+        for u in range(known.shape[1]):
+            for i in range(known.shape[2]):
+                collected[n, u, i] = slot if known[n, u, i] else collected[n, u, i]

@@ -63,16 +63,12 @@ class AgeOfInformation:
         """Which devices are above the limit after the slot just advanced, (N, I)."""
         return np.asarray(self._age > (np.inf if self._limit is None else self._limit))
 
-    def reward(self, age_slots: Ints) -> Floats:
-        """Return the reward of the slot just advanced by the objective of the scenario, (N,) s.
-
-        ``aou`` is the paper's with weights, ``aoi`` -sum_i w_i AoI_i, ``peak`` minus the rise of the largest AoI of
-        each device so far, and ``above-limit`` minus the time of the slot for each device whose AoI is above the limit.
-        """
-        return np.asarray(-self._tau * (self.objective(age_slots) * self.weights).sum(axis=1))
-
     def objective(self, age_slots: Ints) -> Floats:
-        """Return what the objective counts of each device in the slot just advanced, without weights, (N, I) slots."""
+        """Return what the objective counts of each device in the slot just advanced, without weights, (N, I) slots.
+
+        ``aou`` is the paper's age sum, ``aoi`` the AoI, ``peak`` the rise of the largest AoI so far, and
+        ``above-limit`` the slot itself where the AoI is above the limit.
+        """
         each: Any = age_slots
         if self._objective == "aoi":
             each = self._age

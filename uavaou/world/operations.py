@@ -15,9 +15,9 @@ from uavaou.scenario import Scenario
 from uavaou.world.association import oldest_within_capacity, within_capacity
 from uavaou.world.battery import Batteries
 from uavaou.world.channel import Channel, rate
-from uavaou.world.flight import STAY, STEP_OF_MOVE, Flight
+from uavaou.world.flight import STEP_OF_MOVE, Flight
 from uavaou.world.links import Knowledge
-from uavaou.world.losses import Losses
+from uavaou.world.losses import Losses, quiet
 from uavaou.world.measures import AgeOfInformation
 from uavaou.world.wind import Weather
 
@@ -29,12 +29,12 @@ class Operations:
 
     def __init__(self, scenario: Scenario, missions: int, flight: Flight, channel: Channel) -> None:
         self._scenario, self._flight, self._channel = scenario, flight, channel
-        self._shape = missions, scenario.uavs
+        self._shape, self._all_heard = (missions, scenario.uavs), np.zeros(scenario.devices, dtype=np.bool_)
         losing = scenario.failures or scenario.failure_probability_per_slot or scenario.devices_silent
         measuring = scenario.age_limit_s or scenario.device_weights or scenario.objective
         self.losses = Losses(scenario, missions) if losing else None
         self.batteries = None if scenario.energy is None else Batteries(scenario, missions, flight)
-        self.weather = None if scenario.wind is None else Weather(scenario)
+        self.weather = None if scenario.wind is None else Weather(scenario, missions)
         self.knowledge = None if scenario.links is None else Knowledge(scenario, missions, flight.cds)
         self.information = AgeOfInformation(scenario, missions) if measuring else None
         items = self.losses, self.batteries, self.weather, self.knowledge, self.information
@@ -109,18 +109,10 @@ class Operations:
             self._cost = self.batteries.calm if drawn is None else self.batteries.cost(drawn.air_speed)  # (N, 5)
             allowed, on_grid, self._safe = self.batteries.allowed(cells, slot, self._cost)
         if self.losses is not None:
-            failed = self.losses.failed(slot)
-            late = ~allowed.any(axis=-1)  # (N, U) to come home
-            if slot == self._scenario.slots:
-                late |= (cells != self._flight.cds).any(axis=-1)
-            self.losses.lost |= self.failed & ~failed & late
-            self.failed = failed | self.losses.lost
-            if self.failed.any():
-                allowed[self.failed] = np.arange(len(STEP_OF_MOVE)) == STAY
-            if (silent := self.losses.silent(slot)) is not None:
-                snr[:, :, silent] = 0.0
+            self.failed = self.losses.open(slot, cells, self.failed, allowed, on_grid)
         if self.losses is not None or self.batteries is not None:
-            snr[self.absent] = 0.0
+            silent = None if self.losses is None else self.losses.silent(slot)
+            quiet(self.absent, self._all_heard if silent is None else silent, snr)
         if self.knowledge is not None:
             self.knowledge.open(slot, cells, self.failed, None if self.batteries is None else self.batteries.down)
         return allowed, on_grid
@@ -136,31 +128,28 @@ class Operations:
     def fly(self, moves: Ints, cells: Ints, allowed: Bools, on_grid: Bools) -> Ints:
         """Return the moves that are made for those requested, (N, U), and charge the batteries for them."""
         made = self._flight.resolve(moves, cells, allowed, on_grid, self._safe)
-        if self.losses is not None:
-            made = np.where(self.failed, STAY, made)
         if self.batteries is not None:
             self.batteries.fly(cells, made, self._cost, self.failed)
         return made
 
-    def close(
-        self, slot: int, generated: Bools, collected: Bools, known: Bools, age_slots: Ints, reward: Floats
-    ) -> Floats:
-        """Measure a slot, and note what UAVs know of it; returns its reward by the objective, (N,) s.
+    def close(self, slot: int, generated: Bools, collected: Bools, known: Bools, age_slots: Ints) -> Ints | Floats:
+        """Measure a slot, and note what UAVs know of it; returns what the reward counts of each device, (N, I) slots.
 
         Args:
             slot: t.
             generated: which devices generated an update, (L, I).
             collected: which were collected, (N, I).
             known: which collections each UAV knows of by itself, (N, U, I).
-            age_slots: the age sums, (N, I).
-            reward: the paper's, (N,) s.
+            age_slots: the age sums, (N, I), which are the paper's objective.
         """
         if self.knowledge is not None:
             self.knowledge.note(slot, known)
         if self.information is None:
-            return reward
+            return age_slots
         self.information.advance(slot, generated, collected)
-        return reward if self._scenario.objective is None else self.information.reward(age_slots)
+        if self._scenario.objective is None:
+            return age_slots
+        return self.information.objective(age_slots) * self.information.weights
 
     # -- devices
 

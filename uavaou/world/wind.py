@@ -16,6 +16,7 @@ from uavaou.arrays import Bools, Floats, Ints
 from uavaou.mission_fields import DEVIATIONS, Wind
 from uavaou.scenario import Scenario
 from uavaou.world.channel import Keys, keys_of_item, uniforms
+from uavaou.world.compiled import compiled
 
 _ITEM = 3  # of the random streams
 _LIGHT_M_S = 3e8  # slots may be absurdly short; squares of speeds stay finite
@@ -25,18 +26,17 @@ DIRECTIONS: Floats = np.array([[0, 0], [0, 1], [0, -1], [1, 0], [-1, 0]], dtype=
 def mean_wind(scenario: Scenario) -> Floats:
     """The mean wind towards +x and +y, (2,) m/s; +y points to the bearing of the georeference."""
     place = scenario.georeference
-    return np.array((scenario.wind or Wind()).mean_m_s(0.0 if place is None else place.bearing_deg))
+    return np.array((scenario.wind or Wind()).mean_m_s(0.0 if place is None else place.bearing_deg), dtype=np.float64)
 
 
-def _ground_speed(scenario: Scenario) -> float:
-    return min(scenario.grid_step_m / scenario.slot_length_s, _LIGHT_M_S)
+def _ground_speeds(scenario: Scenario) -> Floats:
+    """The velocities over the ground of the five moves, (5, 2) m/s."""
+    return min(scenario.grid_step_m / scenario.slot_length_s, _LIGHT_M_S) * DIRECTIONS
 
 
 def air_speeds(scenario: Scenario, wind: Floats) -> Floats:
     """Return the air speed of each of the five moves in a wind (..., 2) m/s, (..., 5) m/s."""
-    speed = _ground_speed(scenario)
-    along, across = (speed * DIRECTIONS[:, axis] - wind[..., axis, None] for axis in (0, 1))  # (..., 5) m/s each
-    return np.asarray(np.sqrt(along * along + across * across))
+    return _air_speeds(wind.reshape(-1, 2), _ground_speeds(scenario)).reshape(*wind.shape[:-1], -1)
 
 
 def largest_air_speeds(scenario: Scenario) -> Floats:
@@ -49,7 +49,7 @@ def largest_air_speeds(scenario: Scenario) -> Floats:
 def least_air_speeds(scenario: Scenario) -> Floats:
     """Return the least air speed of each move in any wind of the scenario, (5,) m/s."""
     mean, drawn = mean_wind(scenario), DEVIATIONS * (scenario.wind or Wind()).deviation_m_s
-    ground = _ground_speed(scenario) * DIRECTIONS  # (5, 2) m/s
+    ground = _ground_speeds(scenario)  # (5, 2) m/s
     return np.asarray(np.linalg.norm(ground - ground.clip(mean - drawn, mean + drawn), axis=-1))
 
 
@@ -84,10 +84,10 @@ class Weather:
     wind: Floats  # (N, 2) m/s, in the present slot
     air_speed: Floats  # (N, 5) m/s, of the moves in it
 
-    def __init__(self, scenario: Scenario) -> None:
+    def __init__(self, scenario: Scenario, missions: int) -> None:
         assert scenario.wind is not None
-        self._scenario, self._law = scenario, scenario.wind
-        self._mean = mean_wind(scenario)
+        self._law = scenario.wind
+        self._mean, self._ground, self._missions = mean_wind(scenario), _ground_speeds(scenario), missions
 
     @property
     def varies(self) -> bool:
@@ -97,22 +97,15 @@ class Weather:
     def start(self, keys: Keys) -> None:
         """Start missions with these keys, in the state that the wind has in the long run."""
         self._keys = keys_of_item(keys, _ITEM)
-        self._deviation, self._slot = self._normals(0), 0  # (N, 2)
+        self._deviation, self._slot = np.zeros((self._missions, 2)), 0  # (N, 2)
+        _go_on(uniforms(self._keys, 0, 2), 0.0, self._deviation)
 
     def open(self, slot: int) -> None:
         """Go to a slot, the next one or the present one."""
         if slot > self._slot:
-            memory = self._law.correlation
-            self._deviation = memory * self._deviation + math.sqrt(1 - memory**2) * self._normals(slot)
+            _go_on(uniforms(self._keys, 2 * slot, 2), self._law.correlation, self._deviation)
             self._slot = slot
-        drawn = self._law.deviation_m_s * self._deviation.clip(-DEVIATIONS, DEVIATIONS)
-        self.wind = self._mean + drawn
-        self.air_speed = air_speeds(self._scenario, self.wind)
-
-    def _normals(self, slot: int) -> Floats:
-        first, second = uniforms(self._keys, 2 * slot, 2).T  # (N,) each
-        modulus, phase = np.sqrt(-2.0 * np.log(first)), 2.0 * np.pi * second
-        return np.stack([modulus * np.cos(phase), modulus * np.sin(phase)], axis=-1)
+        self.wind, self.air_speed = _blow(self._mean, self._law.deviation_m_s, self._deviation, self._ground)
 
     def state(self) -> dict[str, Any]:
         """What the rest of the missions depends on beside their keys."""
@@ -122,3 +115,35 @@ class Weather:
         """Go on from a :meth:`state` of this slot."""
         self.start(keys)
         self._deviation, self._slot = state["wind_deviation"].copy(), slot
+
+
+@compiled
+def _go_on(drawn: Floats, memory: float, deviation: Floats) -> None:
+    """Go on to the next z_t, (N, 2), by two uniform numbers of each mission, (N, 2)."""
+    fresh = math.sqrt(1 - memory**2)
+    for n in range(len(drawn)):
+        modulus, phase = math.sqrt(-2.0 * math.log(drawn[n, 0])), 2.0 * math.pi * drawn[n, 1]
+        deviation[n, 0] = memory * deviation[n, 0] + fresh * (modulus * math.cos(phase))
+        deviation[n, 1] = memory * deviation[n, 1] + fresh * (modulus * math.sin(phase))
+
+
+@compiled
+def _air_speeds(wind: Floats, ground: Floats) -> Floats:
+    """Return the air speeds of moves with velocities over the ground (5, 2) in winds (M, 2), (M, 5) m/s."""
+    speeds = np.empty((len(wind), len(ground)))
+    for m in range(len(wind)):
+        for move in range(len(ground)):
+            along, across = ground[move, 0] - wind[m, 0], ground[move, 1] - wind[m, 1]
+            speeds[m, move] = math.sqrt(along * along + across * across)
+    return speeds
+
+
+@compiled
+def _blow(mean: Floats, deviation_m_s: float, deviation: Floats, ground: Floats) -> tuple[Floats, Floats]:
+    """Return the wind, (N, 2), and the air speeds in it, (N, 5)."""
+    wind = np.empty_like(deviation)
+    for n in range(len(wind)):
+        for axis in range(2):
+            drawn = deviation_m_s * min(max(deviation[n, axis], -DEVIATIONS), DEVIATIONS)
+            wind[n, axis] = mean[axis] + drawn
+    return wind, _air_speeds(wind, ground)

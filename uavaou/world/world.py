@@ -4,7 +4,7 @@ There is no other implementation of the physics: the PettingZoo environment is a
 evaluation step Worlds.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -174,10 +174,11 @@ class World:
         _record_collections(association.collected_by, kept, self.slot, *last)
         fleet = self.positions, self.flown, *self.operations.seen()
         self.stepped = Stepped(self.slot, *fleet, self._snr_in_range, association)
-        reward: Floats = -self.scenario.slot_length_s * self.ages.age_slots.sum(axis=1)
+        counted: Ints | Floats = self.ages.age_slots  # (N, I) slots
         if not self.operations.off:
             known = kept if selections is None else self.last_collection_by == self.slot
-            reward = self.operations.close(self.slot, generated, collected, known, self.ages.age_slots, reward)
+            counted = self.operations.close(self.slot, generated, collected, known, self.ages.age_slots)
+        reward: Floats = -self.scenario.slot_length_s * counted.sum(axis=1)
         if self.slot < self.scenario.slots:  # the move of slot K has no effect
             fly = self.flight.resolve if self.operations.off else self.operations.fly
             made = fly(moves, self.cells, self.allowed_moves, self._on_grid)  # (N, U)
@@ -190,14 +191,11 @@ class World:
 
     def _associate(self, selections: Bools | None) -> tuple[Association, Bools]:
         """Who collects what; and the devices in range that each UAV could serve, (N, U, I)."""
+        snr = self._snr_in_range
         if not self._limited:
-            return associate(self.in_range, self._snr_in_range, selections), self.in_range
-        offered = self.in_range if selections is None else self.in_range & selections
-        kept = self.collecting if selections is None else self.operations.kept(offered, self._snr_in_range)
-        association = associate(self.in_range, self._snr_in_range, kept)
-        refused = association.rejected_rate if selections is None else _count(selections & ~offered)  # (N,)
-        beyond = _count(offered & ~kept)  # (N,)
-        return replace(association, rejected_rate=refused, rejected_capacity=beyond), kept
+            return associate(self.in_range, snr, selections), self.in_range
+        kept = self.collecting if selections is None else self.operations.kept(self.in_range & selections, snr)
+        return associate(self.in_range, snr, selections, kept), kept
 
     def _check_actions(self, moves: Ints, selections: Bools | None) -> None:
         pairs = (self.missions, self.scenario.uavs)
@@ -366,11 +364,6 @@ class World:
         if self._limited:
             known = self.in_range, snr, self.last_in_range, self.update_period
             self.collecting = self.operations.collecting(slot, *known)
-
-
-def _count(flags: Bools) -> Ints:
-    """How many of the flags (N, U, I) of each mission are set, (N,)."""
-    return np.asarray(np.count_nonzero(flags.reshape(len(flags), -1), axis=1))
 
 
 @compiled
