@@ -51,7 +51,9 @@ def zoo_or_file(kind: str, source: str | Path) -> Path:
         known = f"{', '.join(names)}; or a path ending in .yaml"
         raise InputError(f"unknown {singular} '{name[:40]}'{nearest(name, names)} ({kind}: {known})")
     if not os.path.lexists(name):
-        hint = nearest_path(Path(name)) or nearest(Path(name).stem, names)
+        path = Path(name)
+        shipped = nearest(path.stem, names)
+        hint = shipped if path.parent == Path() and shipped else nearest_path(path) or shipped
         raise InputError(f"{singular} file '{name}' does not exist{hint}")
     return Path(name)
 

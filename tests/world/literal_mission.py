@@ -5,7 +5,13 @@ from typing import Any
 
 import numpy as np
 
+from tests.world.test_channel import splitmix64
 from uavaou import Scenario, World
+
+
+def word(key: int, index: int) -> int:
+    """Word ``index`` of the SplitMix64 stream with seed ``key``."""
+    return splitmix64((key + 0x9E3779B97F4A7C15 * index) % 2**64, 1)[0]
 
 
 class LiteralMission:

@@ -4,17 +4,11 @@ import itertools
 import math
 from typing import Any
 
-from tests.world.literal_mission import LiteralMission
-from tests.world.test_channel import splitmix64
+from tests.world.literal_mission import LiteralMission, word
 from uavaou import Scenario, World
 
 FULL = 10**9
 Cell = tuple[int, int]
-
-
-def word(key: int, index: int) -> int:
-    """Word ``index`` of the SplitMix64 stream with seed ``key``."""
-    return splitmix64((key + 0x9E3779B97F4A7C15 * index) % 2**64, 1)[0]
 
 
 class LiteralOperations(LiteralMission):
