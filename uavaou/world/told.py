@@ -57,21 +57,23 @@ class PartsOfSurvivors:
             world: over the layouts that the tables are of.
             absent: of :func:`uavaou.world.news.known_absent`.
         """
-        if absent is not None and self._known is not None and np.array_equal(absent, self._known[0]):
-            return self._known[1]
-        if absent is None and len(self._whole) == world.missions:
-            return self._whole
         layouts = np.arange(world.missions) % self._layouts  # (N,)
-        numbers = np.repeat(layouts[:, None], world.scenario.uavs, axis=1)
+        if len(self._whole) != world.missions:
+            self._whole, self._known = np.repeat(layouts[:, None], world.scenario.uavs, axis=1), None
         if absent is None:
-            self._whole = numbers
-            return numbers
+            return self._whole
         if len(self._sets) > _MOST_SETS:
             self._sets.clear()
             self._known = None
             self.serves, self.steps = self.serves[: self._layouts], self.steps[: self._layouts]
-        for n, u in np.argwhere(absent.any(axis=-1)):
-            numbers[n, u] = self._number(world, int(layouts[n]), ~absent[n, u])
+        before, numbers = self._known or (np.zeros_like(absent), self._whole)
+        changed = np.argwhere((absent != before).any(axis=-1))
+        if not len(changed):
+            return numbers
+        numbers = numbers.copy()
+        for n, u in changed:
+            lost = absent[n, u]
+            numbers[n, u] = self._number(world, int(layouts[n]), ~lost) if lost.any() else layouts[n]
         self._known = absent, numbers
         return numbers
 
