@@ -11,6 +11,7 @@ from uavaou.world.ages import age_by_estimate
 from uavaou.world.entities import EntityViews, make_views
 from uavaou.world.news import news
 from uavaou.world.partition import partition, survivors, survivors_parts
+from uavaou.world.told import PartsOfSurvivors, told_before_take_off
 from uavaou.world.views import DEVICE, OWN, PULL, TEAMMATE, RowViews
 
 PAPER = Scenario.load("paper").replace(slots=60)
@@ -182,3 +183,14 @@ def test_only_devices_that_are_served_have_no_age() -> None:
     assert (world.in_range & ~world.collecting).any()
     estimate = age_by_estimate(world.slot, world.last_in_range, world.update_period[:, None])
     np.testing.assert_array_equal(age, np.where(world.collecting, 0, estimate))
+
+
+def test_the_plan_follows_whom_a_uav_takes_as_lost_and_hears_of_again() -> None:
+    world = World("tiny", missions=3)
+    _, serves, steps = told_before_take_off(world, None)
+    parts, rng = PartsOfSurvivors(None, serves, steps), np.random.default_rng(0)
+    for _ in range(20):
+        absent = (rng.random((3, 2, 2)) < 0.3) & ~np.eye(2, dtype=np.bool_)  # (N, U, U)
+        anew = PartsOfSurvivors(None, serves, steps)
+        found, expected = parts.numbers(world, absent), anew.numbers(world, absent)
+        np.testing.assert_array_equal(parts.serves[found], anew.serves[expected])
