@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from benchmarks.tables import REFERENCE, RELEASED, ROOT, RULE, called, flown, mean_ratio, minutes, scores, study, suites
+from benchmarks.tables import REFERENCE, RELEASED, ROOT, RULE, flown, mean_ratio, minutes, scores, study, suites
 from uavaou.arrays import Floats
 from uavaou.evaluation.flights import VALIDATION
 from uavaou.planners import PLANNERS
@@ -55,7 +55,8 @@ def learners() -> str:
             own, here = ages(name, variant), scores(name)[variant].mean
             beside = "" if variant == "mappo" else with_interval(*ratio(name, variant))
             there = "" if variant == "mappo" else elsewhere(name, variant)
-            rows.append((start, f"`{called(name, variant)}`", str(len(own)), with_interval(*here), beside, there))
+            called = study(name).published(variant)
+            rows.append((start, f"`{called}`", str(len(own)), with_interval(*here), beside, there))
     head = ("begins with", "learner", "trainings", "AoU on `paper`, slots", "MAPPO's over it", "on other layouts")
     return table(head, rows)
 
@@ -158,7 +159,7 @@ def learning() -> str:
         beside = "" if name == "mappo" else with_interval(*ratio_of_trainings({"": slots["mappo"]}, {"": slots[name]}))
         mean = with_interval(*interval_over_trainings(slots[name]))
         aou = rounded(float(ages("paper", name).mean()))
-        rows.append((f"`{called('paper', name)}`", mean, beside, minutes("paper", name), aou))
+        rows.append((f"`{study('paper').published(name)}`", mean, beside, minutes("paper", name), aou))
     head = ("from nothing", "slots until it has converged", "MAPPO's over these", "CPU time", "AoU it ends with, slots")
     return table(head, rows)
 
@@ -197,13 +198,8 @@ def draw_breaks() -> None:
             look, ratios = looks[name], aou[name] / aou[REFERENCE]
             value, low, high = np.array([mean_ratio(ratios[point]) for point in points]).T  # (P,) each
             at, reach = np.arange(len(points)) + shift, [value - low, high - value]
-            drawn: dict[str, Any] = {
-                "color": look.colour,
-                "marker": look.marker,
-                "markersize": 3.5,
-                "linestyle": "none",
-            }
-            axes.errorbar(value, at, xerr=reach, elinewidth=1.0, capsize=1.8, label=look.label, **drawn)
+            drawn: dict[str, Any] = {"color": look.colour, "marker": look.marker, "label": look.label}
+            axes.errorbar(value, at, xerr=reach, linestyle="none", markersize=3.5, elinewidth=1.0, capsize=1.8, **drawn)
         axes.axvline(1, color=style.GREY, linewidth=0.8, linestyle=(0, (4, 1.5)))
         axes.set(xscale="log", xlabel=f"ratio of mean AoU to {REFERENCE}")
         style.label_log_axis(axes.xaxis, 1, 200)

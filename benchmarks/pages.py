@@ -14,7 +14,7 @@ import numpy as np
 from benchmarks import reference
 from benchmarks.answers import ANSWERS, draw_breaks, draw_gap
 from benchmarks.measure import COLUMNS, kept_rows
-from benchmarks.tables import REFERENCE, RELEASED, ROOT, RULE, called, flown, mean_ratio, minutes, scores, study, suites
+from benchmarks.tables import REFERENCE, RELEASED, ROOT, RULE, flown, mean_ratio, minutes, scores, study, suites
 from uavaou.evaluation.flights import VALIDATION
 from uavaou.reports.claims import LOWEST, REDUCED, judge
 from uavaou.reports.markdown import filled, rounded, table, with_interval
@@ -113,7 +113,7 @@ def paper() -> str:
     """Every policy of the study ``paper`` and its bound."""
     rows = [
         (
-            f"`{called('paper', one.policy) if one.seeds else one.policy}`" if one.knows else one.policy,
+            f"`{study('paper').published(one.policy) if one.seeds else one.policy}`" if one.knows else one.policy,
             with_interval(*one.mean, digits=3),
             minutes("paper", one.policy) if one.seeds else "",
             one.knows,

@@ -9,7 +9,6 @@ import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike
 
-from uavaou.algorithms.registry import published_as
 from uavaou.experiments.results import StudyResults, read_study
 from uavaou.reports.scores import PolicyScores, study_scores
 from uavaou.reports.suites import SuiteTable, suites_of_study
@@ -45,11 +44,6 @@ def flown(suite: str, policy: str) -> pd.DataFrame:
 def minutes(name: str, variant: str) -> str:
     """The mean CPU time of a training."""
     return f"{study(name).trainings(variant, 'paper')['cpu_s'].mean() / 60:.0f} min"
-
-
-def called(name: str, variant: str) -> str:
-    """A variant of a study by the name of its published settings: `mappo` from nothing is `mappo-paper`."""
-    return published_as(variant, study(name).settings["variants"][variant]["network"])
 
 
 def mean_ratio(ratios: ArrayLike) -> Interval:

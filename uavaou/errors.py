@@ -92,8 +92,13 @@ def nearest(word: str, allowed: Iterable[str]) -> str:
     return f"; did you mean '{matches[0]}'?" if matches else ""
 
 
-def nearest_path(path: Path) -> str:
-    """As :func:`nearest`, for a path that leads nowhere: each part that is not there becomes the nearest one there."""
+def nearest_path(path: Path, shipped: Sequence[str] = ()) -> str:
+    """As :func:`nearest`, for a path that leads nowhere: each part that is not there becomes the nearest one there.
+
+    A name without a folder may be that of something ``shipped``, which comes first.
+    """
+    if path.parent == Path() and (hint := nearest(path.stem, shipped)):
+        return hint
     found = Path(path.anchor)
     for part in path.parts[len(found.parts) :]:
         try:

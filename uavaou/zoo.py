@@ -51,9 +51,7 @@ def zoo_or_file(kind: str, source: str | Path) -> Path:
         known = f"{', '.join(names)}; or a path ending in .yaml"
         raise InputError(f"unknown {singular} '{name[:40]}'{nearest(name, names)} ({kind}: {known})")
     if not os.path.lexists(name):
-        path = Path(name)
-        shipped = nearest(path.stem, names)
-        hint = shipped if path.parent == Path() and shipped else nearest_path(path) or shipped
+        hint = nearest_path(Path(name), names) or nearest(Path(name).stem, names)
         raise InputError(f"{singular} file '{name}' does not exist{hint}")
     return Path(name)
 

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from uavaou.algorithms.registry import published_as
 from uavaou.arrays import Floats
 from uavaou.errors import InputError, command_line, nearest_path
 from uavaou.evaluation.flights import BOUND, TRAINING, Flights, PartKey, column
@@ -101,6 +102,11 @@ class StudyResults:
         """Scenario -> certified lower bound of the mean AoU, slots."""
         rows = self.table.where(policy=BOUND).flights
         return dict(zip(rows["scenario"], rows["mean_aou_slots"], strict=True))
+
+    def published(self, variant: str) -> str:
+        """The name under which the settings of a variant are published: ``mappo`` from nothing is ``mappo-paper``."""
+        stated = _mapping(_mapping(self.settings.get("variants")).get(variant))
+        return published_as(variant, str(stated.get("network", "")))
 
     @property
     def reference(self) -> str | None:

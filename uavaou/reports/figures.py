@@ -3,9 +3,8 @@
 Everything is drawn from the tables of a study; no policy is loaded. Training runs are condensed to the same tables, in
 memory. Bands and bars are Student's 95 % intervals over three and more training seeds, of the logarithm of the mean: no
 measure changes its sign, and most axes are logarithmic. Those of planners, and in figures 7 and 8 those of a single
-run, are bootstrap intervals over missions. Figures of a study show its best planner
-and its best rule with local information, figures of runs all planners that were evaluated beside them. Ages are in
-slots.
+run, are bootstrap intervals over missions. Figures of a study show its best planner and its best rule with local
+information, figures of runs all planners that were evaluated beside them. Ages are in slots.
 """
 
 from collections.abc import Iterable, Mapping

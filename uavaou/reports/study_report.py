@@ -12,7 +12,6 @@ from urllib.parse import quote, unquote
 
 import numpy as np
 
-from uavaou.algorithms.registry import published_as
 from uavaou.errors import InputError
 from uavaou.evaluation.flights import VALIDATION, PartKey
 from uavaou.experiments.marl_eval import to_marl_eval
@@ -188,8 +187,8 @@ def _results(results: StudyResults) -> Iterator[str]:
 
 def _published(results: StudyResults) -> Iterator[str]:
     """Which variants have the name of other settings than theirs, as `mappo` from nothing has."""
-    for variant, settings in results.settings["variants"].items():
-        if (name := published_as(variant, settings.get("network", ""))) != variant:
+    for variant in results.algorithms:
+        if (name := results.published(variant)) != variant:
             yield f"Here `{variant}` has the settings of `uavaou train --algorithm {name}`."
 
 

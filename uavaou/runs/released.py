@@ -5,7 +5,7 @@ Such a folder holds ``config.yaml``, ``policy.safetensors`` and a model card, an
 
 from pathlib import Path
 
-from uavaou.errors import InputError, nearest, nearest_path
+from uavaou.errors import InputError, nearest_path
 from uavaou.zoo import zoo_folder
 
 
@@ -38,4 +38,4 @@ def nearest_released(path: Path) -> str:
     """The hint for a run folder that does not exist: the released policy or the path that its name is near to."""
     if path.name in released_names():
         return f"; the released policy is named without a path: {path.name}"
-    return (nearest(path.name, released_names()) if path.parent == Path() else "") or nearest_path(path)
+    return nearest_path(path, released_names())

@@ -291,9 +291,18 @@ def _allowed(
 
 @compiled
 def _spare(
-    cells: Ints, rows: int, charge: Ints, reserve: int, sortie: Ints, left: int, leg: int, budget: Ints, way: Ints,
-    home: Ints, spare: Ints,
-) -> None:  # fmt: skip
+    cells: Ints,
+    rows: int,
+    charge: Ints,
+    reserve: int,
+    sortie: Ints,
+    left: int,
+    leg: int,
+    budget: Ints,
+    way: Ints,
+    home: Ints,
+    spare: Ints,
+) -> None:
     for n in range(cells.shape[0]):
         for u in range(cells.shape[1]):
             cell, nearest = cells[n, u, 0] * rows + cells[n, u, 1], UNLIMITED

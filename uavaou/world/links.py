@@ -13,7 +13,6 @@ from typing import Any
 import numpy as np
 
 from uavaou.arrays import Bools, Floats, Ints
-from uavaou.mission_fields import Links
 from uavaou.scenario import Scenario
 from uavaou.world.channel import Keys, keys_of_item, uniforms
 from uavaou.world.compiled import compiled
@@ -32,9 +31,8 @@ class Knowledge:
 
     def __init__(self, scenario: Scenario, missions: int, cds: Ints) -> None:
         assert scenario.links is not None
-        self._links: Links = scenario.links
+        links = self._links = scenario.links
         self._cds, self._shape = cds, (missions, scenario.uavs)
-        links = scenario.links
         # The probabilities with which a bad link turns good, and a good one bad.
         self._turns = 1 / (links.bad_slots or math.inf), 1 / (links.good_slots or math.inf)
         self._step, self._altitudes = scenario.grid_step_m, scenario.altitudes
@@ -139,9 +137,16 @@ def _measure(slot: int, cells: Ints, failed: Bools, down: Ints, heard: Ints, kno
 
 @compiled
 def _passing(
-    drawn: Floats, turns: tuple[float, float], probability: float, range_m: float, cells: Ints, step: float,
-    altitudes: Floats, good: Bools, passes: Bools,
-) -> None:  # fmt: skip
+    drawn: Floats,
+    turns: tuple[float, float],
+    probability: float,
+    range_m: float,
+    cells: Ints,
+    step: float,
+    altitudes: Floats,
+    good: Bools,
+    passes: Bools,
+) -> None:
     """Write which messages pass, (N, to, from), and turn links that are ``good`` in bursts."""
     missions, uavs = cells.shape[:2]
     for n in range(missions):

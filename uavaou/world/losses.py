@@ -97,9 +97,18 @@ def quiet(absent: Bools, silent: Bools, snr: Floats) -> None:
 
 @compiled
 def _fail(
-    drawn: Floats, probability: float, listed: Bools, last: bool, cells: Ints, cds: Ints, before: Bools, lost: Bools,
-    failed: Bools, allowed: Bools, on_grid: Bools,
-) -> None:  # fmt: skip
+    drawn: Floats,
+    probability: float,
+    listed: Bools,
+    last: bool,
+    cells: Ints,
+    cds: Ints,
+    before: Bools,
+    lost: Bools,
+    failed: Bools,
+    allowed: Bools,
+    on_grid: Bools,
+) -> None:
     for n in range(failed.shape[0]):
         for u in range(failed.shape[1]):
             lost[n, u] = lost[n, u] or drawn[n, u] <= probability
