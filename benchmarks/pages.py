@@ -16,7 +16,7 @@ from benchmarks.answers import ANSWERS, draw_breaks, draw_gap
 from benchmarks.measure import COLUMNS, kept_rows
 from benchmarks.tables import REFERENCE, RELEASED, ROOT, RULE, flown, mean_ratio, minutes, scores, study, suites
 from uavaou.evaluation.flights import VALIDATION
-from uavaou.reports.claims import LOWEST, REDUCED, judge
+from uavaou.reports.claims import FEWER_ITERATIONS, LOWEST, REDUCED, judge
 from uavaou.reports.markdown import filled, rounded, table, with_interval
 from uavaou.reports.suite_tables import summary
 from uavaou.statistics import Interval
@@ -76,7 +76,7 @@ def verdict() -> str:
         judged = found[claim]
         assert judged.estimate is not None, claim
         words = {"supported": supported, "contradicted": contradicted}.get(judged.verdict, otherwise)
-        return words, "{:.2f} ({:.2f}–{:.2f}) times".format(*judged.estimate)
+        return words, f"{with_interval(*judged.estimate)} times"
 
     fresher, wins = "MAPPO's AoU in execution is lower than", ("beats", "loses to", "is not shown to beat")
     over_vdn, vdn = told(f"{fresher} VDN's", *wins)
@@ -100,12 +100,8 @@ def verdict() -> str:
 
 def claims_in_short() -> str:
     """The paper's claims on the AoU and on learning sooner, each with its ratio and its verdict."""
-    told = [one for one in judge(study("paper")) if one.quote in (LOWEST, REDUCED) or "the level of" in one.claim]
-    rows = [
-        (one.claim, "{:.2f} ({:.2f}–{:.2f})".format(*one.estimate), f"**{one.verdict}**")
-        for one in told
-        if one.estimate
-    ]
+    told = [one for one in judge(study("paper")) if one.quote in (LOWEST, REDUCED, FEWER_ITERATIONS)]
+    rows = [(one.claim, with_interval(*one.estimate), f"**{one.verdict}**") for one in told if one.estimate]
     return table(("claim", "ratio", "verdict"), rows)
 
 

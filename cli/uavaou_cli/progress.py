@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 
 _BAR_EVERY_S = 0.5
 _LINE_EVERY_S = 10.0
+_RATE_AFTER_S = 60.0  # of a study; before, processes start and compile
 _MARKS = 60  # steps forward that the rate is measured over
 _WIDE = 110  # columns of a terminal that has room for agent steps
 NAME_WIDTH = 20
@@ -299,7 +300,7 @@ class StudyDisplay(Display):
         name = f"{state.done}/{state.total} done{failed}"
         trained = state.slots + state.left  # 0 where planners and bounds are left, whose progress is unknown
         self.total = trained or state.total
-        rate = state.rate if state.left else 0.0
+        rate = state.rate if state.left and state.busy_s > _RATE_AFTER_S else 0.0
         self.advance(state.slots if trained else state.done, "", name, _running(state), rate)
 
 

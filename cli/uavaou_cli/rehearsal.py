@@ -25,7 +25,7 @@ def rehearse_in(scenario: Scenario, seconds: float, knows: str, folder: Path, qu
 
     def show(share: float, at_work: str, best: float | None) -> None:
         if display.due:
-            aou = "" if best is None else f"best mean AoU {best:,.2f} slots"
+            aou = "" if best is None else f"best mean AoU so far {best:,.2f} slots"
             display.advance(share * seconds, aou, at_work[:NAME_WIDTH], rate=1.0)
 
     with Display(quiet, seconds, "") as display:

@@ -33,8 +33,14 @@ AoU in slots: the mean over the slots of a mission, in units of the slot length 
 evaluation, which no training and no choice of a checkpoint has seen. Mean AoU: the mean over seeds with Student's 95 %
 interval over seeds; of one seed, and of planners, with a bootstrap interval over missions. IQM: the mean of the middle
 half of all missions, with a stratified bootstrap over seeds and missions. Knows: what a policy reads in flight
-(docs/reference/planners.md); a plan made before take-off may use the whole map. No policy has a mean AoU below the
-lower bound in expectation and without foreseeing the channel."""
+(docs/reference/planners.md); a plan made before take-off may use the whole map."""
+_BOUND_NOTE = " No policy has a mean AoU below the lower bound in expectation and without foreseeing the channel."
+_COMMANDS = """\
+```
+uavaou study run {study}
+uavaou study report {study}
+uavaou plot figures results/studies/{name}
+```"""
 _REPLAY = f"[{STUDY_REPLAY}]({STUDY_REPLAY}) plays one mission of each kept policy, side by side, in a browser."
 _HEAD = ("policy", "knows", "seeds", "mean AoU (slots)", "IQM (slots)", "wall-clock of a training", "violations")
 _SEVERAL_PROCESSORS = """\
@@ -128,7 +134,7 @@ def write_report(folder: Path, results_page: Path) -> list[str]:
         f"# Study `{results.name}`",
         str(results.settings.get("description", "")),
         _REPLAY if (folder / STUDY_REPLAY).exists() else "",
-        f"```\nuavaou study run {results.argument}\nuavaou study report {results.argument}\nuavaou plot figures\n```",
+        _COMMANDS.format(study=results.argument, name=results.name),
         _unfinished(results),
         *(f"**Something is wrong: {line}.**" for line in remarks),
         *(_results(results) if results.scenarios else ()),
@@ -175,7 +181,7 @@ def _unfinished(results: StudyResults) -> str:
 
 def _results(results: StudyResults) -> Iterator[str]:
     """A table for each scenario, the best first."""
-    yield _NOTE
+    yield _NOTE + (_BOUND_NOTE if results.bounds else "")
     yield "\n".join(_published(results))
     scores = study_scores(results)
     mixed = [scenario for scenario in scores if results.on_several_processors(scenario)]

@@ -254,7 +254,10 @@ class _Rehearsal:
 
     def _roll(self) -> None:
         """Let the annealed routes be improved in flight, if that may be known and fits into the time that is left."""
-        if self._annealed is None or self._left_s <= 0 or self.knows != "everything":
+        if self._annealed is None or self.knows != "everything":
+            return
+        if self._left_s <= 0:
+            self._late.append(Rolling.name)
             return
         rolling = Rolling()
         rolling.keep(self._annealed, self.scenario, self.scenario.draw_layout())
