@@ -12,7 +12,7 @@ PAPER := $(DEMO)/paper/mappo-paper+slots=$(PAPER_SLOTS)/seed-0
 .PHONY: help install check demo test fast lint types docs bench results audit fuzz faults lock clean
 
 help:
-	@echo "make demo    train MAPPO, and as the paper has it; evaluate both beside rules; draw the figures (about 3 minutes)"
+	@echo "make demo    train MAPPO, and as the paper has it; evaluate both beside rules; draw the figures (about 4 minutes)"
 	@echo "make check   before a push: lint, types, pages and the fast tests (some minutes)"
 	@echo "make test    run all tests"
 	@echo "make docs    the documentation site, into site/"

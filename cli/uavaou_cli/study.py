@@ -48,6 +48,7 @@ def run(
     chosen, folder = _study(study, out)
     writable_folder(folder)
     from uavaou.experiments.run import run_study
+    from uavaou.runs.names import uavaou_with
 
     if not quiet:
         for line in _time_it_takes(chosen, out, jobs or _cores()):
@@ -63,7 +64,8 @@ def run(
     if outcome.stopped_by is not None:
         kept = f" with {outcome.done} of {outcome.total} parts done"
         raise stopped(ctx.obj["arguments"], outcome.stopped_by, kept)
-    following = ["uavaou", "study", "report", study, *([] if out == Path("results") else ["--out", out])]
+    place = [] if out == Path("results") else ["--out", out]
+    following = [*uavaou_with(ctx.obj["plugins"]), "study", "report", study, *place]
     show([*_result_lines(folder), *_nothing_done(outcome, study, out), f"next:    {command_line(following)}"])
     if outcome.failed:
         raise typer.Exit(1)
@@ -77,7 +79,7 @@ def status(study: StudyName, out: Results = Path("results")) -> None:
     show(_status_lines(chosen, study_status(chosen, out)))
 
 
-def report(study: StudyName, out: Results = Path("results")) -> None:
+def report(ctx: typer.Context, study: StudyName, out: Results = Path("results")) -> None:
     """Rewrite the condensed results of a study from its finished runs, its page of tables, and print the table.
 
     Writes README.md, marl-eval.json and one recorded mission of each variant into DIR/studies/<name>/, and the
@@ -88,7 +90,7 @@ def report(study: StudyName, out: Results = Path("results")) -> None:
 
     chosen, folder = _study(study, out)
     writable_folder(folder)
-    report_study(chosen, out, lambda remark: print(f"uavaou: {remark}", file=sys.stderr))
+    report_study(chosen, out, lambda remark: print(f"uavaou: {remark}", file=sys.stderr), ctx.obj["plugins"])
     show([*_result_lines(folder), f"next:    {command_line(['uavaou', 'plot', 'figures', folder])}"])
 
 

@@ -39,7 +39,7 @@ _MUCH_MORE = 0.1  # of the budget, that a training may go beyond it without a wo
 _PLANNERS = ("best-first", "local-greedy-parts")  # that a policy is shown beside: the best that need no time to plan
 _MOST_WORK = 2e10  # of these planners: slots x UAVs^2 x devices x cells; more takes minutes
 _CLOSE = 0.99  # of its mean AoU: a planner that is nearer is not below it
-_START = "any-map"
+_START, _LEARNER = "any-map", "mappo"
 _ALGORITHMS = "mappo, mappo-paper, mappo-family, ippo, vdn, qmix or iql"  # for the help; tested
 
 
@@ -307,13 +307,14 @@ def _advice(config: RunConfig) -> str:
 
     algorithm = config.algorithm
     published = load_config(published_as(algorithm.name, getattr(algorithm, "network", ""))).slots
-    longer = f"train longer (--slots {published}, as published)" if config.slots < published else "try another --seed"
-    started = config.family or config.start or _START not in released_names()
+    longer = f"train longer (--slots {published}, the default)" if config.slots < published else "try another --seed"
+    started = config.family or config.start or _START not in released_names() or algorithm.name != _LEARNER
     return longer + ("" if started else f", or begin with a policy for any map (--from {_START})")
 
 
 def _next(outcome: Outcome, plugins: Sequence[str]) -> str:
     """The command to type next, with the same ``plugins``."""
-    named = [word for place in plugins for word in ("--plugin", place)]
-    command = ["uavaou", *named, "eval", str(outcome.folder.path), "--policy", "random", "--policy", "greedy"]
+    from uavaou.runs.names import uavaou_with
+
+    command = [*uavaou_with(plugins), "eval", str(outcome.folder.path), "--policy", "random", "--policy", "greedy"]
     return f"next:            {command_line(command)}"

@@ -28,6 +28,7 @@ from uavaou import (
 )
 from uavaou.algorithms import registry
 from uavaou.evaluation.flights import Flights
+from uavaou.reports.figures import read_runs
 from uavaou.runs.folder import RunFolder
 from uavaou_cli.main import main
 
@@ -90,6 +91,7 @@ def test_the_example_trains_is_evaluated_and_drawn_by_name(
     (run,) = tmp_path.glob("results/quickstart/plain-ppo+*/seed-0")
     assert "plain-ppo" in set(Flights.read(run).flights["policy"])
     assert shell(f"{PLUGIN} plot trajectories {run}")[0] == 0
+    assert read_runs([run]).on_several_processors("quickstart") is False
 
 
 def test_a_run_folder_imports_nothing(shell: Shell, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

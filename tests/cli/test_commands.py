@@ -155,7 +155,7 @@ def test_a_training_is_shown_beside_planners_on_its_validation_missions(shell: S
     names = "best-first", "local-greedy-parts"
     reached = [f"{name} {evaluate(name, 'tiny', 4, VALIDATION_SEED).mean_aou_slots:.2f}" for name in names]
     assert f"planners: {reached[0]}, {reached[1]} slots, on the same 4 missions" in words
-    assert "above best-first and local-greedy-parts: train longer (--slots 3000000, as published), or begin" in words
+    assert "above best-first and local-greedy-parts: train longer (--slots 3000000, the default), or begin" in words
     assert "(--from any-map)" in words
     assert all(len(line) <= WIDTH for line in out.splitlines() if not line.startswith(("next:", "run folder:")))
 

@@ -239,6 +239,14 @@ def test_long_curves_are_averaged_in_200_equal_groups(copied: tuple[Study, Path]
     assert (curve["x"][-1], curve["wall_s"][-1]) == (10_000, 500)
 
 
+def test_a_validation_has_the_time_at_which_it_was_made(finished: tuple[Path, Inline]) -> None:
+    results = read_study(finished[0] / "out/studies/mine")
+    whole = results.trainings("mappo", "tiny")["wall_s"].tolist()
+    for validations, wall_s in zip(results.curves(VALIDATION, "mappo", "tiny"), whole, strict=True):
+        assert (np.diff(validations["wall_s"]) > 0).all()
+        assert 0 <= validations["wall_s"][0] < validations["wall_s"][-1] <= wall_s
+
+
 # -- the best ------------------------------------------------------------------------------------------
 
 

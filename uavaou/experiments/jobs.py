@@ -104,9 +104,9 @@ class Training:
     def _whole(self, rows: Flights) -> Flights:
         """The rows of the evaluation with the facts and the curves of the training."""
         folder, (job,) = RunFolder(self.folder), self.digests.values()
-        curves = Flights.of({"x": []}, training_curves(folder, self.config.scenario))
-        facts = training_facts(folder, self.config)
-        return Flights.joined([rows, curves]).with_values(job=job, seed=self.config.seed, **facts)
+        curves = Flights.of({"x": []}, training_curves(folder, self.config.scenario))  # each with a time of its own
+        rows = rows.with_values(**training_facts(folder, self.config))
+        return Flights.joined([rows, curves]).with_values(job=job, seed=self.config.seed)
 
 
 @dataclass(frozen=True)

@@ -351,7 +351,7 @@ def expected_cpu_s(study: Study, results: StudyResults, out: Path) -> tuple[floa
     left = [config for key, config in study.runs() if key not in set(results.parts)]
     kinds = [(_kind(config.algorithm.model_dump(mode="json")), config.slots) for config in left]
     total = sum(sum(rates[kind]) / len(rates[kind]) * slots for kind, slots in kinds if kind in rates)
-    return total, list(dict.fromkeys(" ".join(kind) for kind, _ in kinds if kind not in rates))
+    return total, list(dict.fromkeys(" ".join(filter(None, kind)) for kind, _ in kinds if kind not in rates))
 
 
 def _kind(settings: Mapping[str, Any]) -> tuple[str, ...]:

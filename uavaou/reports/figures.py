@@ -112,7 +112,8 @@ def read_runs(folders: Iterable[Path]) -> StudyResults:
         own = Flights.joined(
             [held.where(policy=learner, seed=config.seed), Flights.of({"x": []}, training_curves(folder, scenario))]
         )
-        tables.append(own.with_values(policy=variant, scenario=place, seed=seed))
+        processor = folder.read_meta().processor if folder.meta.is_file() else None
+        tables.append(own.with_values(policy=variant, scenario=place, seed=seed, processor=processor))
         for planner in held.where(seed=None).flights["policy"].unique():
             if (planner, place) not in beside:
                 tables.append(held.where(policy=planner, seed=None).with_values(scenario=place))

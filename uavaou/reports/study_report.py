@@ -12,7 +12,7 @@ from urllib.parse import quote, unquote
 
 import numpy as np
 
-from uavaou.errors import InputError
+from uavaou.errors import InputError, command_line
 from uavaou.evaluation.flights import VALIDATION, PartKey
 from uavaou.experiments.marl_eval import to_marl_eval
 from uavaou.experiments.results import StudyFolder, StudyResults, read_study
@@ -27,6 +27,7 @@ from uavaou.reports.scores import PolicyScores, below_bound, study_scores
 from uavaou.reports.suite_tables import suites_markdown
 from uavaou.reports.suites import suites_of_study
 from uavaou.runs.lock import HeldError, one_writer
+from uavaou.runs.names import uavaou_with
 
 _NOTE = """\
 AoU in slots: the mean over the slots of a mission, in units of the slot length τ. The missions are those of the final
@@ -37,8 +38,8 @@ half of all missions, with a stratified bootstrap over seeds and missions. Knows
 _BOUND_NOTE = " No policy has a mean AoU below the lower bound in expectation and without foreseeing the channel."
 _COMMANDS = """\
 ```
-uavaou study run {study}
-uavaou study report {study}
+{uavaou} study run {study}
+{uavaou} study report {study}
 uavaou plot figures results/studies/{name}
 ```"""
 _REPLAY = f"[{STUDY_REPLAY}]({STUDY_REPLAY}) plays one mission of each kept policy, side by side, in a browser."
@@ -76,7 +77,7 @@ from which on that average stays within {WITHIN:.0%} of the level."""
 _CLAIMS_HEAD = ("claim", "the paper's words", "measured", "estimate", "95 % interval", "verdict")
 
 
-def report_study(study: Study, out: Path, remark: Callable[[str], None]) -> None:
+def report_study(study: Study, out: Path, remark: Callable[[str], None], plugins: Sequence[str] = ()) -> None:
     """Bring the condensed results of a study up to date, and write its page.
 
     While the study runs, its tables are taken as they stand.
@@ -85,6 +86,7 @@ def report_study(study: Study, out: Path, remark: Callable[[str], None]) -> None
         study: what is reported.
         out: the folder of all results.
         remark: called with each line that the user should know.
+        plugins: that its commands need.
 
     Raises:
         InputError: nothing has been evaluated, the results are another study's or damaged, or a file cannot be written.
@@ -106,7 +108,7 @@ def report_study(study: Study, out: Path, remark: Callable[[str], None]) -> None
             _tell(problems, remark)
             record_missions(folder.path)
             write_study_replay(folder.path, results.algorithms)
-        for line in write_report(folder.path, out / "README.md"):
+        for line in write_report(folder.path, out / "README.md", plugins):
             remark(line)
 
 
@@ -115,12 +117,13 @@ def _tell(problems: Mapping[PartKey, str], remark: Callable[[str], None]) -> Non
         remark(f"left out: {key}: {reason}")
 
 
-def write_report(folder: Path, results_page: Path) -> list[str]:
+def write_report(folder: Path, results_page: Path, plugins: Sequence[str] = ()) -> list[str]:
     """Write ``README.md`` and ``marl-eval.json`` in a study's folder.
 
     Args:
         folder: ``results/studies/<name>``.
         results_page: gets the verdicts between its markers, where the study judges the paper's claims.
+        plugins: that its commands need.
 
     Returns:
         Lines that the user should know: a policy below the bound, a page that belongs to another study.
@@ -134,7 +137,7 @@ def write_report(folder: Path, results_page: Path) -> list[str]:
         f"# Study `{results.name}`",
         str(results.settings.get("description", "")),
         _REPLAY if (folder / STUDY_REPLAY).exists() else "",
-        _COMMANDS.format(study=results.argument, name=results.name),
+        _COMMANDS.format(uavaou=command_line(uavaou_with(plugins)), study=results.argument, name=results.name),
         _unfinished(results),
         *(f"**Something is wrong: {line}.**" for line in remarks),
         *(_results(results) if results.scenarios else ()),

@@ -110,6 +110,11 @@ def scenario_folder(scenario: Scenario, overrides: Mapping[str, str] | None = No
     return _folder_name(base + ("" if preset else _content_digest(scenario.to_dict())), overrides)
 
 
+def uavaou_with(plugins: Sequence[str]) -> list[str]:
+    """The first words of every command that needs these plugins."""
+    return ["uavaou", *(word for place in plugins for word in ("--plugin", place))]
+
+
 def train_command(
     source: str, scenario: Scenario, algorithm: AlgorithmConfig, plugins: Sequence[str] = ()
 ) -> list[str]:
@@ -124,7 +129,7 @@ def train_command(
     Raises:
         InputError: ``source`` cannot be read, or the algorithm is not registered.
     """
-    command = ["uavaou", *(word for place in plugins for word in ("--plugin", place)), "train"]
+    command = [*uavaou_with(plugins), "train"]
     name, published = published_settings(algorithm)
     command += ["--scenario", source, "--algorithm", name]
     changes = {
