@@ -12,10 +12,8 @@ from tests.documents import blocks, console
 
 ROOT = Path(__file__).resolve().parents[2]
 FIELD = ["examples/field/sensors.geojson", "--uavs", "2", "--station", "46.1012,7.2210", "--radio", "802.15.4"]
-FIELD += [
-    "--policy",
-    "local-greedy-parts",
-]  # a rehearsal may find two policies that fly alike, by the load of the machine
+# A rehearsal may find two policies that fly alike, by the load of the machine.
+FIELD += ["--policy", "local-greedy-parts"]
 # Picture -> page, slot, and how the window is: width, height, dark, phone.
 PAGES = {
     "replay": ("docs/gallery/paper.html", 160, (1400, 1000, False, False)),
