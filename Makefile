@@ -49,8 +49,8 @@ test fast: export PYTHONDONTWRITEBYTECODE =
 fast: install
 	$(BIN)/python -m pytest -q -n 2 --dist worksteal -m "not slow"
 
-test: fast
-	$(BIN)/python -m pytest -q -n 4 --dist worksteal -m slow  # many of them wait for other processes
+test: install
+	$(BIN)/python -m pytest -q -n 3 --dist worksteal  # one more than cores: some wait for other processes
 	@$(BIN)/python -m tests.browser  # the last line says whether the tests in a browser were left out
 
 check: lint types docs fast

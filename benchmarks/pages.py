@@ -15,10 +15,11 @@ from benchmarks import reference
 from benchmarks.answers import ANSWERS, draw_breaks, draw_gap
 from benchmarks.measure import COLUMNS, kept_rows
 from benchmarks.tables import REFERENCE, RELEASED, ROOT, RULE, flown, mean_ratio, minutes, scores, study, suites
-from uavaou.evaluation.flights import VALIDATION
+from uavaou.evaluation.flights import VALIDATION, PartKey
 from uavaou.reports.claims import FEWER_ITERATIONS, LOWEST, REDUCED, judge
 from uavaou.reports.markdown import filled, rounded, table, with_interval
 from uavaou.reports.suite_tables import summary
+from uavaou.statistics import ratio_of_trainings
 
 CARD = "zoo_configs/policies/any-map/README.md"
 PAGES = (
@@ -29,10 +30,12 @@ PAGES = (
     "docs/notes/speed.md",
     "docs/compare.md",
     "docs/explanation/head.md",
+    "docs/explanation/missions.md",
     CARD,
     *reference.PAGES,
 )
 TUNED = "local-greedy-tuned"
+BOTH = ("mappo select", "mappo auto")  # of the study `selection`
 LEAST = 1.0  # slots: where the other has less, a ratio says nothing
 COMPARED = {  # of the table that benchmarks/compare.py writes: part -> heading, unit
     "stepping": ("stepping three agents, random actions", "agent steps per CPU second"),
@@ -214,6 +217,22 @@ def levels() -> str:
     return table(("mean AoU, slots", *best), [*rows, ("the best at the end", *map(rounded, best.values()))])
 
 
+def selecting() -> str:
+    """The composite action against collecting the oldest, by the uplinks of a slot."""
+    found = study("selection")
+    select, auto = ({name: found.trainings(who, name)["mean_aou_slots"] for name in found.scenarios} for who in BOTH)
+    rows = [
+        (
+            name,
+            *(rounded(float(ages[name].mean())) for ages in (select, auto)),
+            with_interval(*ratio_of_trainings({"": select[name].to_numpy()}, {"": auto[name].to_numpy()})),
+            rounded(found.mean(PartKey(RULE, name)).value),
+        )
+        for name in found.scenarios
+    ]
+    return table(("uplinks a slot", *(f"`{who}`" for who in BOTH), "ratio", f"`{RULE}`"), rows)
+
+
 def unseen() -> str:
     """The released policy on every suite."""
     return summary(RELEASED, suites().values())
@@ -226,6 +245,7 @@ BLOCKS: dict[str, Callable[[], str]] = {
     "paper": paper,
     "default": default,
     "released": released,
+    "selecting": selecting,
     "unseen": unseen,
     "networks": networks,
     "levels": levels,

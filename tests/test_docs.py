@@ -251,7 +251,9 @@ def test_a_number_that_is_not_of_the_tables_is_seen(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     held = (ROOT / "README.md").read_text(encoding="utf-8")
-    (tmp_path / "README.md").write_text(held.replace("| QMIX from nothing | ", "| QMIX from nothing | 1"), encoding="utf-8")
+    (tmp_path / "README.md").write_text(
+        held.replace("| QMIX from nothing | ", "| QMIX from nothing | 1"), encoding="utf-8"
+    )
     monkeypatch.setattr(written, "PAGES", ("README.md",))
     (tmp_path / "results").symlink_to(ROOT / "results")
     monkeypatch.setattr(written, "ROOT", tmp_path)

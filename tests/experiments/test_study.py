@@ -190,6 +190,7 @@ def test_a_study_of_suites_and_draws_has_a_row_for_each_point_and_a_page_for_eac
     assert (results.folder.path / "figures" / "suite-own.png").is_file()
 
 
+@pytest.mark.usefixtures("quick_plans")
 def test_a_point_of_two_suites_is_flown_once_and_stands_in_both(write: Write, tmp_path: Path) -> None:
     point = "{label: same, x: 0, set: {slots: 12}}"
     for name in ("one", "two"):

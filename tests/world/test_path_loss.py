@@ -86,6 +86,7 @@ def test_a_threshold_of_another_kind_flies_the_same_missions() -> None:
     assert len({found.mean_aou_s for found in ages}) == 1
 
 
+@pytest.mark.usefixtures("quick_plans")
 def test_every_planner_and_level_flies_in_a_city_without_a_violation() -> None:
     """The independent checker has formulas of its own."""
     city = CITY.replace(slots=60, area_x_m=500, area_y_m=500, cds_m=[[0, 0]] * 3, devices=6)
