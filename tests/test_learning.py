@@ -45,7 +45,7 @@ GATES = {
     "vdn": Gate(24_000, 1.4, Q | {"hidden": "[64, 64]", "learning_rate": 0.002, "n_step": 1}),
     "qmix": Gate(24_000, 1.4, Q | {"hidden": "[64, 64]", "learning_rate": 0.001}),
     "mappo set": Gate(32_000, 1.6, SET | FROM_NOTHING),
-    "qmix set": Gate(12_000, 3.0, Q | {"learning_rate": 0.002, "n_step": 1}),
+    "qmix set": Gate(18_000, 3.0, Q | {"learning_rate": 0.002, "n_step": 1}),
 }
 
 
