@@ -160,10 +160,9 @@ def _result_lines(folder: Path) -> list[str]:
     for scenario, found in study_scores(results).items():
         head = (scenario, "knows", "seeds", "mean AoU", "95 % interval", "violations")
         lines += ["", *aligned([head, *map(_cells, found)], left=2)]
-    note = (
-        "intervals: Student's over seeds; of one seed, and of planners, a bootstrap over missions; the lower bound is "
-        "one on the expected mean AoU of policies that do not foresee the channel"
-    )
+    note = "intervals: Student's over seeds; of one seed, and of planners, a bootstrap over missions"
+    if results.bounds:
+        note += "; the lower bound is one on the expected mean AoU of policies that do not foresee the channel"
     return [*lines, "", *wrapped(note), f"results: {folder}"]
 
 
