@@ -243,8 +243,8 @@ def test_a_validation_has_the_time_at_which_it_was_made(finished: tuple[Path, In
     results = read_study(finished[0] / "out/studies/mine")
     whole = results.trainings("mappo", "tiny")["wall_s"].tolist()
     for validations, wall_s in zip(results.curves(VALIDATION, "mappo", "tiny"), whole, strict=True):
-        assert (np.diff(validations["wall_s"]) > 0).all()
-        assert 0 <= validations["wall_s"][0] < validations["wall_s"][-1] <= wall_s
+        assert (np.diff(validations["wall_s"]) >= 0).all()
+        assert 0 <= validations["wall_s"][0] < validations["wall_s"][-1] <= wall_s + 0.1  # it is written in tenths
 
 
 # -- the best ------------------------------------------------------------------------------------------
