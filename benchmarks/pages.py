@@ -18,8 +18,8 @@ from benchmarks.tables import REFERENCE, RELEASED, ROOT, RULE, flown, mean_ratio
 from uavaou.evaluation.flights import VALIDATION, PartKey
 from uavaou.reports.claims import FEWER_ITERATIONS, LOWEST, REDUCED, judge
 from uavaou.reports.markdown import filled, rounded, table, with_interval
+from uavaou.reports.study_report import against_reference
 from uavaou.reports.suite_tables import summary
-from uavaou.statistics import ratio_of_trainings
 
 CARD = "zoo_configs/policies/any-map/README.md"
 PAGES = (
@@ -35,7 +35,6 @@ PAGES = (
     *reference.PAGES,
 )
 TUNED = "local-greedy-tuned"
-BOTH = ("mappo select", "mappo auto")  # of the study `selection`
 LEAST = 1.0  # slots: where the other has less, a ratio says nothing
 COMPARED = {  # of the table that benchmarks/compare.py writes: part -> heading, unit
     "stepping": ("stepping three agents, random actions", "agent steps per CPU second"),
@@ -220,17 +219,15 @@ def levels() -> str:
 def selecting() -> str:
     """The composite action against collecting the oldest, by the uplinks of a slot."""
     found = study("selection")
-    select, auto = ({name: found.trainings(who, name)["mean_aou_slots"] for name in found.scenarios} for who in BOTH)
-    rows = [
-        (
-            name,
-            *(rounded(float(ages[name].mean())) for ages in (select, auto)),
-            with_interval(*ratio_of_trainings({"": select[name].to_numpy()}, {"": auto[name].to_numpy()})),
-            rounded(found.mean(PartKey(RULE, name)).value),
-        )
-        for name in found.scenarios
-    ]
-    return table(("uplinks a slot", *(f"`{who}`" for who in BOTH), "ratio", f"`{RULE}`"), rows)
+    autos, selects = (against_reference(found)[first::2] for first in (0, 1))  # the reference comes first
+    rows = []
+    for oldest, own in zip(autos, selects, strict=True):
+        assert own.ratio is not None
+        ages = own.aou, oldest.aou, found.mean(PartKey(RULE, own.scenario)).value
+        own_age, oldest_age, rule = map(rounded, ages)
+        rows.append((own.scenario, own_age, oldest_age, with_interval(*own.ratio), rule))
+    select, auto = selects[0].variant, autos[0].variant
+    return table(("uplinks a slot", f"`{select}`", f"`{auto}`", "ratio", f"`{RULE}`"), rows)
 
 
 def unseen() -> str:

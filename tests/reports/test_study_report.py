@@ -32,6 +32,16 @@ def study_with(folder: Path, **fields: Any) -> Path:
     return folder
 
 
+def test_the_commands_of_a_page_are_those_that_work(tmp_path: Path) -> None:
+    folder = study_with(tmp_path / "ours")
+    assert "uavaou study run ours.yaml\nuavaou study report" in page(folder)
+    write_report(folder, tmp_path / "README.md", ["my own.py"])
+    text = (folder / "README.md").read_text()
+    for command in ("run", "report"):
+        assert f"\nuavaou --plugin 'my own.py' study {command} ours.yaml\n" in text
+    assert "\nuavaou plot figures results/studies/ours\n" in text
+
+
 def page(folder: Path) -> str:
     write_report(folder, folder.parent / "README.md")
     return (folder / "README.md").read_text()

@@ -19,7 +19,7 @@ from uavaou.experiments.results import StudyFolder, StudyResults, read_study
 from uavaou.experiments.run import gather, read_state, update_results
 from uavaou.experiments.study import Study
 from uavaou.files import read_text, write_json, write_text
-from uavaou.reports.ablations import ablation_table, ablations
+from uavaou.reports.ablations import Ablation, ablation_table, ablations
 from uavaou.reports.claims import SMOOTHED, WITHIN, Claim, converged, judge, smooth
 from uavaou.reports.markdown import BLOCK, END, begin, filled, rounded, table, with_interval
 from uavaou.reports.replay.page import STUDY_REPLAY, write_study_replay
@@ -214,17 +214,20 @@ def _cells(one: PolicyScores) -> tuple[str, ...]:
     )
 
 
-def _comparison(results: StudyResults) -> list[str]:
-    """The variants against the reference, in the scenarios that it has been evaluated on."""
+def against_reference(results: StudyResults) -> list[Ablation]:
+    """The variants against the reference, in the scenarios that it has been evaluated on; nothing without one."""
     means, reference = {}, results.reference
     for scenario in results.scenarios:
         scores = {name: results.stack(name, scenario) for name in results.algorithms}
         found = {name: table.mean(axis=1) for name, table in scores.items() if table.size}
         if reference in found:
             means[scenario] = found
-    if not means or reference is None:
-        return []
-    return [f"## Against `{reference}`", ablation_table(ablations(means, reference))]
+    return [] if reference is None else ablations(means, reference)
+
+
+def _comparison(results: StudyResults) -> list[str]:
+    found = against_reference(results)
+    return [f"## Against `{results.reference}`", ablation_table(found)] if found else []
 
 
 def _trainings(results: StudyResults) -> list[str]:
